@@ -33,7 +33,7 @@ class DataclassSerializer:
     classes: tuple[type, ...]
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
 
-    def list_archived_fields(self, kind: Any) -> list[str]:
+    def list_saved_dataclass_fields(self, kind: Any) -> list[str]:
         return [f.name for f in fields(kind) if f.init and f.name not in self.left_out.get(kind, ())]
 
     def serialise_to_json_tree(self, value: Any, place: str, arrays: Arrays) -> Any:
@@ -49,15 +49,15 @@ class DataclassSerializer:
         if isinstance(value, np.ndarray):
             return {"array": _store_array_by_path(value, place, arrays)}
         if isinstance(value, Enum):
-            return {"type": self._find_registered_type_name(value, place), "value": value.value}
+            return {"type": self._get_storable_class_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
                 name: self.serialise_to_json_tree(
                     getattr(value, name), _join_json_tree_path(place, name), arrays
                 )
-                for name in self.list_archived_fields(type(value))
+                for name in self.list_saved_dataclass_fields(type(value))
             }
-            return {"type": self._find_registered_type_name(value, place), "fields": members}
+            return {"type": self._get_storable_class_name(value, place), "fields": members}
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
@@ -99,7 +99,7 @@ class DataclassSerializer:
         )
 
     def _serialise_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
-        if _are_stackable_arrays(value):
+        if _can_concatenate_arrays(value):
             whole = _store_array_by_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [
@@ -115,13 +115,13 @@ class DataclassSerializer:
         which = _store_array_by_path(np.array([numbers[text] for text in texts]), place, arrays)
         return {"alike": [json.loads(text) for text in numbers], "which": which}
 
-    def _find_registered_type_name(self, value: Any, place: str) -> str:
+    def _get_storable_class_name(self, value: Any, place: str) -> str:
         if type(value) not in self.classes:
             raise _build_unstorable_type_error(value, place)
         return type(value).__name__
 
 
-def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
+def _can_concatenate_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
     if not value or not all(isinstance(item, np.ndarray) and item.ndim for item in value):
         return False
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
@@ -257,7 +257,7 @@ def open_for_atomic_write(target: Path) -> Iterator[IO[bytes]]:
 def _read_npz_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
-            entries = _read_arrays_with_checksums(stream)
+            entries = _read_checksum_verified_arrays(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
         except _NotAnArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
@@ -274,7 +274,7 @@ class _NotAnArchive(Exception):
     """The file is not a zip archive."""
 
 
-def _read_arrays_with_checksums(stream: BinaryIO) -> dict[str, Array]:
+def _read_checksum_verified_arrays(stream: BinaryIO) -> dict[str, Array]:
     """Return all arrays of an archive after verifying their checksums, which NumPy does not do completely."""
     if not zipfile.is_zipfile(stream):
         raise _NotAnArchive

@@ -161,7 +161,7 @@ class ProblemFile:
 
     def build(self, options: Mapping[str, Any]) -> Problem:
         """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
-        self._check_build_options(options)
+        self._check_options_of_problem_builder(options)
         with _add_failing_line_to_exceptions(self.path, "build()"):
             problem = self.module.build(**options)
         if not isinstance(problem, Problem):
@@ -170,7 +170,7 @@ class ProblemFile:
             )
         return problem
 
-    def _check_build_options(self, given: Mapping[str, Any]) -> None:
+    def _check_options_of_problem_builder(self, given: Mapping[str, Any]) -> None:
         known = self.options
         kinds = inspect.Parameter
         named = [n for n, p in known.items() if p.kind not in (kinds.VAR_KEYWORD, kinds.VAR_POSITIONAL)]

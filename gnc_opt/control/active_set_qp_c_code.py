@@ -25,7 +25,7 @@ from gnc_opt.control.feedforward_and_reference_schedule import (
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.numerical_tolerances import LARGEST, zero_nonfinite
+from gnc_opt.numerical_tolerances import LARGEST, set_nonfinite_to_zero
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
 _ITERATIONS_PER_UNKNOWN = 20
@@ -88,7 +88,8 @@ class QpCode:
         arrays = {
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
-            "state_lower": zero_nonfinite(rows.state_lower), "state_upper": zero_nonfinite(rows.state_upper),
+            "state_lower": set_nonfinite_to_zero(rows.state_lower),
+            "state_upper": set_nonfinite_to_zero(rows.state_upper),
             "row_lower": self._qp_constraint_limits[0], "row_upper": self._qp_constraint_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}

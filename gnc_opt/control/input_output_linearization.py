@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name_error
-from gnc_opt.model.model_variables import read_expression
+from gnc_opt.model.model_variables import convert_to_sx_column
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import ROUNDING, is_rank_deficient
 
@@ -130,7 +130,7 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     a
     """
     t, x, _, _ = model.arguments()
-    h = read_expression(expression, "the expression to from_expression", failure=DesignError)
+    h = convert_to_sx_column(expression, "the expression to from_expression", failure=DesignError)
     for _ in range(order):
         h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.derivative())
     return h
@@ -212,7 +212,7 @@ def _build_output_tracking_error(pair: PlantPair, name: str, output: Any) -> Any
             known = [*model.states.names, *model.outputs.names]
             raise unknown_name_error("state or output", output, f"model '{model.name}'", known)
         output = model.output_expression(output)
-    h = read_expression(output, f"output '{name}'", failure=DesignError)
+    h = convert_to_sx_column(output, f"output '{name}'", failure=DesignError)
     h = ca.substitute(h, model.symbols("parameter"), ca.DM(model.parameter_values))
     if ca.depends_on(h, pair.u):
         raise DesignError(

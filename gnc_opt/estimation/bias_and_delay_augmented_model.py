@@ -24,7 +24,7 @@ from gnc_opt.estimation.error_state_coordinates import (
 )
 from gnc_opt.estimation.measurement_model import Measurement
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
-from gnc_opt.model.model_variables import Layout, Variable, call_user_function
+from gnc_opt.model.model_variables import Layout, Variable, evaluate_user_function_as_column
 from gnc_opt.model.symbolic_dynamics_model import Model
 
 _MOST_LATE = 200
@@ -268,6 +268,6 @@ def _set_measurement_residual_function(space: Space, function: Callable[[Any, An
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"
-    if not ca.symvar(call_user_function(function, (x, ref), space.errors, what, remedy)):
+    if not ca.symvar(evaluate_user_function_as_column(function, (x, ref), space.errors, what, remedy)):
         raise ArgumentError(f"{what} does not depend on its arguments: {remedy}.")
     return Space(space.size, space.errors, function, space.retraction)

@@ -55,9 +55,9 @@ class PlanPrediction:
 
     def average_controls_over_step(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
-        late = _compute_step_fraction_after_time(begin, length, tau[-1] - self.ending.length)
+        late = _compute_remaining_step_fraction(begin, length, tau[-1] - self.ending.length)
         over, rest = (
-            _compute_step_fraction_after_time(begin, length, tau[-1]),
+            _compute_remaining_step_fraction(begin, length, tau[-1]),
             self.plan.reference.control_after_final_time,
         )
         before = self.plan.average_controls_over_step(begin, length, tau) * (1 - self.ending.reserve * late)
@@ -70,7 +70,7 @@ class PlanPrediction:
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
         nu, after = ca.SX.sym("nu", model.errors.size), x
         for begin, end in itertools.pairwise(self._list_arc_boundary_times(t, tau)):
-            after = self._arc_propagation_function(
+            after = self._constant_control_propagation_function(
                 begin, after, self.evaluate_controls(0.5 * (begin + end), tau), end - begin
             )
         psi = model.state_error_expression(after, ca.SX(self.plan.final_state))
@@ -82,7 +82,7 @@ class PlanPrediction:
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
         x = ca.SX(self.plan.final_state)
         for begin, end in reversed(list(itertools.pairwise(self._list_arc_boundary_times(t, tau)))):
-            x = self._arc_propagation_function(
+            x = self._constant_control_propagation_function(
                 end, x, self.evaluate_controls(0.5 * (begin + end), tau), begin - end
             )
         return ca.Function("reference", [t, tau], [x])
@@ -94,7 +94,7 @@ class PlanPrediction:
         return [t, *sort_symbolic_times([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
 
     @cached_property
-    def _arc_propagation_function(self) -> Any:
+    def _constant_control_propagation_function(self) -> Any:
         """Return ``(t, x, u, length) -> x`` for constant controls."""
         model = self.plan.reference.model
         t, x, u, length = (
@@ -110,7 +110,7 @@ class PlanPrediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _compute_step_fraction_after_time(begin: Any, length: float, since: Any) -> Any:
+def _compute_remaining_step_fraction(begin: Any, length: float, since: Any) -> Any:
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 

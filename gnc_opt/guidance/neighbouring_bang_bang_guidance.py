@@ -341,10 +341,12 @@ class _NeighbouringGuidance:
         step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
         miss = ca.sqrt(psi.T @ self.weight @ psi)
         return ca.Function(
-            "correct", [t, x, tau], [self._order_switching_times(t, tau, open_, tau + open_ * step), miss]
+            "correct",
+            [t, x, tau],
+            [self._enforce_order_of_switching_times(t, tau, open_, tau + open_ * step), miss],
         )
 
-    def _order_switching_times(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
+    def _enforce_order_of_switching_times(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
         """Return the corrected times: not in the past, in the order of each control's switches, the final time last."""
         soonest, found = t + self.delay, ca.vertsplit(new)
         before: dict[int, Any] = {}

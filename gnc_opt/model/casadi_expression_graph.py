@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import EQUAL
 
 
-def list_expression_nodes(expression: Any) -> Iterator[Any]:
+def iterate_subexpressions(expression: Any) -> Iterator[Any]:
     """Yield every scalar node of an expression once, results before their operands."""
     seen: set[int] = set()
     waiting = list(reversed(ca.vertsplit(ca.densify(ca.vec(expression)))))
@@ -28,7 +28,7 @@ def list_expression_nodes(expression: Any) -> Iterator[Any]:
             waiting += [node.dep(i) for i in range(node.n_dep())]
 
 
-def replace_nodes_by_function(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+def replace_subexpressions(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column with nodes replaced by ``replacement(node)``; for None the operands of the node are visited."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -44,25 +44,27 @@ def replace_nodes_by_function(expression: Any, replacement: Callable[[Any], Any 
                 if missing:
                     waiting += missing
                     continue
-                new = _rebuild_node_with_operands(node, operands, [done[o.element_hash()] for o in operands])
+                new = _rebuild_operation_with_operands(
+                    node, operands, [done[o.element_hash()] for o in operands]
+                )
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
 
 
-def replace_nodes_by_hash(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced according to their hashes, see `replace_nodes_by_function`."""
-    return replace_nodes_by_function(expression, lambda node: instead.get(node.element_hash()))
+def replace_subexpressions_by_hash(expression: Any, instead: Mapping[int, Any]) -> Any:
+    """Return a column with nodes replaced according to their hashes, see `replace_subexpressions`."""
+    return replace_subexpressions(expression, lambda node: instead.get(node.element_hash()))
 
 
-def _rebuild_node_with_operands(node: Any, old: list[Any], new: list[Any]) -> Any:
+def _rebuild_operation_with_operands(node: Any, old: list[Any], new: list[Any]) -> Any:
     if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
         return node
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
 
 
-def collect_operation_codes(expression: Any) -> set[int]:
-    """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `list_expression_nodes`."""
+def collect_casadi_operation_codes(expression: Any) -> set[int]:
+    """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `iterate_subexpressions`."""
     function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
@@ -122,10 +124,10 @@ class NormNodes:
     @classmethod
     def from_expression(cls, expression: Any, vector: Any) -> NormNodes:
         """Return these nodes of an SX column."""
-        nodes = _find_nodes_smooth_in_vector(expression, vector)
+        nodes = _find_subexpressions_smooth_in_vector(expression, vector)
         if not nodes:
             return cls(vector, {})
-        values = _sample_nodes_along_directions(ca.vertcat(*nodes), vector)
+        values = _sample_subexpressions_along_directions(ca.vertcat(*nodes), vector)
         degrees = {
             n.element_hash(): d for n, d in zip(nodes, _find_homogeneity_degrees(values), strict=True) if d
         }
@@ -135,7 +137,7 @@ class NormNodes:
         """Return a column with the norm of the vector replaced by a symbol >= 0, and other nodes by hash."""
         unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
 
-        def find_node_replacement(node: Any) -> Any | None:
+        def find_subexpression_replacement(node: Any) -> Any | None:
             place = node.element_hash()
             degree = self.degrees.get(place)
             if degree is None:
@@ -143,15 +145,15 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return replace_nodes_by_function(expression, find_node_replacement)
+        return replace_subexpressions(expression, find_subexpression_replacement)
 
 
-def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
+def _find_subexpressions_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
     leaves = {s.element_hash() for s in ca.vertsplit(vector)}
     depends: dict[int, bool] = {}
     smooth: dict[int, bool] = {}
     found = []
-    for node in _sort_nodes_operands_first(expression):
+    for node in _sort_subexpressions_topologically(expression):
         place, operands = node.element_hash(), [node.dep(i).element_hash() for i in range(node.n_dep())]
         depends[place] = place in leaves or any(depends[o] for o in operands)
         jumps = depends[place] and node.op() in (*JUMPS, ca.OP_IF_ELSE_ZERO)
@@ -161,8 +163,8 @@ def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
     return found
 
 
-def _sort_nodes_operands_first(expression: Any) -> list[Any]:
-    nodes = {node.element_hash(): node for node in list_expression_nodes(expression)}
+def _sort_subexpressions_topologically(expression: Any) -> list[Any]:
+    nodes = {node.element_hash(): node for node in iterate_subexpressions(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():
         waiting = [root]
@@ -179,7 +181,7 @@ def _sort_nodes_operands_first(expression: Any) -> list[Any]:
     return list(done.values())
 
 
-def _sample_nodes_along_directions(nodes: Any, vector: Any) -> Array:
+def _sample_subexpressions_along_directions(nodes: Any, vector: Any) -> Array:
     """Return the values (n_nodes, n_directions, n_lengths, n_draws) for several directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]

@@ -133,7 +133,7 @@ def evaluate_casadi_function(
     return found if times.ndim else found[:, 0]
 
 
-def build_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+def build_single_point_evaluator(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
     """Return a function for the first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
@@ -147,19 +147,19 @@ def build_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..
     if result.size:
         buffer.set_res(0, memoryview(result.data))
 
-    def call_buffered_function(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+    def evaluate_at_single_point(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
         for argument, value in zip(arguments[:free], values, strict=True):
             argument[:] = value
         run()
         return result.copy()
 
-    return call_buffered_function
+    return evaluate_at_single_point
 
 
 def evaluate_casadi_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     block = max(min(n, BLOCK), 1)
-    mapped, pattern, nonzeros = _map_function_over_points(function, block)
+    mapped, pattern, nonzeros = _map_casadi_function_over_points(function, block)
     if not nonzeros:
         return np.zeros((pattern.numel(), n))
     buffer, run = mapped.buffer()
@@ -191,7 +191,7 @@ def evaluate_casadi_batch(function: Any, n: int, *arguments: Array) -> Array:
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _map_function_over_points(function: Any, block: int) -> tuple[Any, Any, int]:
+def _map_casadi_function_over_points(function: Any, block: int) -> tuple[Any, Any, int]:
     """Return the function of ``block`` points, and the pattern and number of nonzeros of the first output."""
     pattern = function.sparsity_out(0)
     return function.map(block), pattern, pattern.nnz()

@@ -35,7 +35,7 @@ class TableCall:
     value: Any
 
     @cached_property
-    def expression_node_hashes(self) -> frozenset[int]:
+    def subexpression_hashes(self) -> frozenset[int]:
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 
@@ -106,7 +106,7 @@ class Table(StrictAttributes):
                 f"table '{self.name}' has {len(self.grids)} axes but {len(arguments)} arguments: give one per axis."
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
-            return self._build_table_expression([self._read_table_argument(a) for a in arguments])
+            return self._build_lookup_table_expression([self._read_table_argument(a) for a in arguments])
         numbers = [
             read_float_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
         ]
@@ -120,7 +120,9 @@ class Table(StrictAttributes):
                 f"the arguments of table '{self.name}' have the shapes {shapes}: give equal ones."
             ) from None
         found = (
-            self._interpolation_function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
+            self._table_interpolation_function(*(p.reshape(1, -1) for p in points))
+            .full()
+            .reshape(points[0].shape)
         )
         return found if found.ndim else float(found)
 
@@ -141,7 +143,7 @@ class Table(StrictAttributes):
                     f"{grid[0]:g} to {grid[-1]:g}: use values in this range, or set outside= of the table."
                 )
 
-    def _build_table_expression(self, columns: list[Any]) -> Any:
+    def _build_lookup_table_expression(self, columns: list[Any]) -> Any:
         rows = max(column.shape[0] for column in columns)
         if any(column.shape[0] not in (1, rows) for column in columns):
             sizes = ", ".join(str(column.shape[0]) for column in columns)
@@ -159,32 +161,32 @@ class Table(StrictAttributes):
         return ca.vertcat(*values)
 
     @cached_property
-    def _interpolation_function(self) -> Any:
+    def _table_interpolation_function(self) -> Any:
         point = ca.SX.sym("point", len(self.grids))
         return ca.Function("table", ca.vertsplit(point), [self._interpolate_table(point)[0]])
 
     @cached_property
-    def _axis_polynomials(self) -> tuple[list[AxisPolynomials], Array]:
+    def _axis_interpolation_polynomials(self) -> tuple[list[AxisPolynomials], Array]:
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
             pieces, first = METHODS[self.method](grid, np.moveaxis(coefficients, k, 0))
             coefficients = np.moveaxis(first, 0, k)
             axes.append(pieces)
         if len(axes) == 1:
-            own, coefficients = axes[0].convert_to_power_basis(coefficients)
+            own, coefficients = axes[0].convert_polynomials_to_power_basis(coefficients)
             axes = [own]
         return axes, coefficients
 
     def _interpolate_table(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
-        axes, coefficients = self._axis_polynomials
+        axes, coefficients = self._axis_interpolation_polynomials
         found = [
             _LocatedInterval.locate_in_breakpoint_intervals(pieces, point[k]) for k, pieces in enumerate(axes)
         ]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
-            window, places = _select_cell_coefficients(window, places, k, pieces, here.inside)
+            window, places = _select_polynomial_coefficients_in_cell(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
             weights = here.compute_interpolation_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
@@ -230,7 +232,7 @@ class _LocatedInterval:
         return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
 
 
-def _select_cell_coefficients(
+def _select_polynomial_coefficients_in_cell(
     window: Any, places: Indices, axis: int, pieces: AxisPolynomials, inside: Any
 ) -> tuple[Any, Indices]:
     """Return the window of one axis and the indices of its coefficients, from those remaining."""

@@ -32,7 +32,7 @@ def read_variable_declarations(given: Any, what: str) -> list[DeclaredVariable]:
     return [
         entry
         for column in columns
-        for entry in _list_scalar_declared_variables(_stack_derivative_expressions(column, what))
+        for entry in _list_scalar_declared_variables(_require_casadi_column(column, what))
     ]
 
 
@@ -55,7 +55,7 @@ def read_state_derivative(
     arguments, symbols : mapping
         Symbols (n, 1) of t, x, u and p: of the model (SX), and of ``f``.
     """
-    function = f if isinstance(f, ca.Function) else _build_derivative_function(f, symbols, what)
+    function = f if isinstance(f, ca.Function) else _build_state_derivative_function(f, symbols, what)
     _check_dynamics_function_inputs(function, arguments, what)
     inputs = {name: arguments[name] for name in function.name_in()}
     names = function.name_out()
@@ -67,7 +67,7 @@ def read_state_derivative(
     return value
 
 
-def _build_derivative_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
+def _build_state_derivative_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
     names = [name for name, stack in symbols.items() if stack]
@@ -100,11 +100,11 @@ def _check_dynamics_function_inputs(function: Any, arguments: Mapping[str, Any],
 def _read_declared_variable(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
         return DeclaredVariable(name, int(value))
-    column = _stack_derivative_expressions(value, what)
+    column = _require_casadi_column(value, what)
     return DeclaredVariable(name, column.shape[0], column)
 
 
-def _stack_derivative_expressions(value: Any, what: str) -> Any:
+def _require_casadi_column(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
         raise ModelError(f"{what} are given as {quote_value(value)}: give columns of SX or MX symbols.")
     return value

@@ -101,14 +101,14 @@ class Layout:
         return tuple(v.unit for v in self.variables for _ in range(v.size))
 
     @cached_property
-    def _slices_by_name(self) -> dict[str, slice]:
+    def _variable_slices(self) -> dict[str, slice]:
         ends = np.cumsum([v.size for v in self.variables])
         return {
             v.name: slice(int(end) - v.size, int(end)) for v, end in zip(self.variables, ends, strict=True)
         }
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self._slices_by_name
+        return isinstance(name, str) and name in self._variable_slices
 
     def __getitem__(self, name: str) -> Variable:
         self.slice(name)
@@ -118,7 +118,7 @@ class Layout:
         """Return the slice of a variable in the stacked vector; raise `UnknownNameError` for others."""
         if name not in self:
             raise unknown_name_error(self.kind, name, self.owner or "it", self.names)
-        return self._slices_by_name[name]
+        return self._variable_slices[name]
 
     def indices(self, name: str) -> range:
         """Return the indices of a variable's components in the stacked vector."""
@@ -199,8 +199,8 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         """Evaluate ``np.linalg.norm(v)`` and similar calls as for a plain SX."""
         return function(
-            *map(_strip_symbol_subclass, args),
-            **{name: _strip_symbol_subclass(value) for name, value in kwargs.items()},
+            *map(_convert_symbols_to_sx, args),
+            **{name: _convert_symbols_to_sx(value) for name, value in kwargs.items()},
         )
 
     __hash__ = object.__hash__
@@ -209,9 +209,9 @@ class Symbol(ca.SX):  # type: ignore[misc]
         return f"<{self.variable.name}[{self.variable.size}]>"
 
 
-def _strip_symbol_subclass(value: Any) -> Any:
+def _convert_symbols_to_sx(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
-        return type(value)(map(_strip_symbol_subclass, value))
+        return type(value)(map(_convert_symbols_to_sx, value))
     return ca.SX(value) if isinstance(value, Symbol) else value
 
 
@@ -243,14 +243,18 @@ class VectorSymbols(tuple[Any, Any]):
             f"{name}, magnitude = model.vector_control('{name}', ...)."
         )
 
-    def _raise_unpacking_error(self, *_: Any) -> Any:
+    def _raise_missing_unpacking_error(self, *_: Any) -> Any:
         raise ModelError(f"an operand is {self.unpacking_statement}")
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_unpacking_error
-    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _raise_unpacking_error
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_missing_unpacking_error
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = (
+        _raise_missing_unpacking_error
+    )
 
 
-def read_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
+def convert_to_sx_column(
+    value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError
+) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
         raise failure(f"{what} is {value.unpacking_statement}")
@@ -276,7 +280,7 @@ def read_expression(value: Any, what: str, size: int | None = None, failure: Err
     return ca.densify(expression)
 
 
-def call_user_function(
+def evaluate_user_function_as_column(
     function: Callable[..., Any], arguments: Sequence[Any], size: int, what: str, remedy: str
 ) -> Any:
     """Return the SX column (size, 1) of a user function; raise `ArgumentError` otherwise."""

@@ -45,19 +45,19 @@ class CallLimit:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def wrap_rate_with_call_limit(self, rate: Rate) -> Rate:
+    def limit_rate_function_calls(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
-        def evaluate_and_count_rate(t: float, x: Array) -> Array:
+        def count_and_evaluate_state_rate(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._count_non_finite_rates(t, x, values)
-            self.count_rate_evaluation(t)
+            self.count_state_rate_evaluation(t)
             return values
 
-        return evaluate_and_count_rate
+        return count_and_evaluate_state_rate
 
-    def count_rate_evaluation(self, t: float) -> None:
+    def count_state_rate_evaluation(self, t: float) -> None:
         """Count an evaluation at time t; raise `LimitError` when the limit is exceeded."""
         self.count += 1
         if self.count > self.most:
@@ -148,7 +148,7 @@ def integrate_ode(
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.wrap_rate_with_call_limit(rate),
+                budget.limit_rate_function_calls(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",

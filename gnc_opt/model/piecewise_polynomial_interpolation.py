@@ -43,7 +43,7 @@ class AxisPolynomials:
         n, window, _ = self.matrices.shape
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
 
-    def convert_to_power_basis(self, coefficients: Array) -> tuple[AxisPolynomials, Array]:
+    def convert_polynomials_to_power_basis(self, coefficients: Array) -> tuple[AxisPolynomials, Array]:
         """Return the same polynomials with coefficients (n_coefficients,) of the powers of u per interval."""
         n, _, powers = self.matrices.shape
         own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.interval_coefficient_indices])

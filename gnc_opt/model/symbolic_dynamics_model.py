@@ -32,8 +32,8 @@ from gnc_opt.model.model_variables import (
     Variable,
     VariableSet,
     VectorSymbols,
+    convert_to_sx_column,
     find_unknown_symbols,
-    read_expression,
     read_vector,
 )
 from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl, SplitControl, VectorControl
@@ -48,7 +48,7 @@ class StateDifferences:
         self._functions: dict[str, Callable[[Any, Any], Any]] = {}
         self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
 
-    def set_state_difference(
+    def set_state_error_function(
         self, name: str, function: Callable[[Any, Any], Any], retraction: Callable[[Any, Any], Any] | None
     ) -> None:
         """Store difference and retraction of a state, replacing earlier ones."""
@@ -63,11 +63,11 @@ class StateDifferences:
             rows = states.slice(name)
             if name in self._functions:
                 what = f"the difference of state '{name}' in {self._owner}"
-                yield read_expression(self._functions[name](x[rows], x_ref[rows]), what)
+                yield convert_to_sx_column(self._functions[name](x[rows], x_ref[rows]), what)
             else:
                 yield x[rows] - x_ref[rows]
 
-    def build_error_layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
+    def build_state_error_layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
         """Return names, sizes and units of the errors."""
         parts = [
             Variable(v.name, e.shape[0], getattr(self._functions.get(v.name), "error_unit", v.unit))
@@ -84,7 +84,7 @@ class StateDifferences:
             raise ModelError(
                 f"{what} is missing: give difference('{name}', ..., retraction=...) as its inverse."
             )
-        value = read_expression(self._retractions[name](own, error), what)
+        value = convert_to_sx_column(self._retractions[name](own, error), what)
         if value.shape != own.shape:
             raise ModelError(
                 f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
@@ -362,7 +362,7 @@ class Model(StrictAttributes):
         ModelError
             A state has two equations or one of wrong size, or an expression uses a symbol of another model.
         """
-        self._require_model_not_in_use("ode")
+        self._require_unused_model("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
         for key, value in require_type(
             equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
@@ -378,8 +378,8 @@ class Model(StrictAttributes):
 
     def output(self, name: str, expression: Any, *, unit: str = "") -> Any:
         """Declare an algebraic output y(t, x, u, p), evaluated later by name; returns the expression."""
-        self._require_model_not_in_use("output")
-        self._check_declared_name_is_new(name)
+        self._require_unused_model("output")
+        self._require_new_variable_name(name)
         value = self._read_model_expression(expression, f"output '{name}' of model '{self.name}'", None)
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
         return value
@@ -406,9 +406,9 @@ class Model(StrictAttributes):
         ModelError
             The result is not an SX column, uses other symbols, or the retraction has another size.
         """
-        self._require_model_not_in_use("difference")
+        self._require_unused_model("difference")
         name = self._variables.read_state_name(state)
-        self._differences.set_state_difference(name, function, retraction)
+        self._differences.set_state_error_function(name, function, retraction)
         self.state_error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
             own = self.symbols("state")[self.states.slice(name)]
@@ -424,7 +424,7 @@ class Model(StrictAttributes):
             )
         return changed
 
-    def in_controls(
+    def express_in_other_controls(
         self,
         controls: Sequence[Symbol],
         composed: Sequence[tuple[ComposedControl, Any]],
@@ -453,7 +453,7 @@ class Model(StrictAttributes):
         twin._variables = self._variables.add_states_and_controls(list(rates), controls)
         twin._equations = {
             **self._equations,
-            **{s.variable.name: read_expression(r, "") for s, r in rates.items()},
+            **{s.variable.name: convert_to_sx_column(r, "") for s, r in rates.items()},
         }
         return twin
 
@@ -500,7 +500,7 @@ class Model(StrictAttributes):
     @property
     def errors(self) -> Layout:
         """Names, sizes and units of the errors of the states; see `difference`."""
-        return self._differences.build_error_layout(
+        return self._differences.build_state_error_layout(
             self.states, self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
         )
 
@@ -559,7 +559,7 @@ class Model(StrictAttributes):
     @property
     def function(self) -> Any:
         """CasADi Function ``f(t, x, u, p) -> dx/dt``."""
-        return self._build_model_function("f", lambda: [self.derivative()], "dx_dt")
+        return self._build_cached_model_function("f", lambda: [self.derivative()], "dx_dt")
 
     def to_function(self) -> Any:
         """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
@@ -568,7 +568,7 @@ class Model(StrictAttributes):
         """
         outputs = [self.output_expression(name) for name in self.outputs.names]
         stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
-        return self._build_model_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
+        return self._build_cached_model_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.
@@ -593,7 +593,7 @@ class Model(StrictAttributes):
     ) -> tuple[Array, Array]:
         """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
         _, xs, us, _ = self.arguments()
-        jacobians = self._build_model_function(
+        jacobians = self._build_cached_model_function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
         a, b = jacobians(
@@ -601,11 +601,11 @@ class Model(StrictAttributes):
         )
         return np.asarray(a.full()), np.asarray(b.full())
 
-    def forbid_declarations(self, user: str) -> None:
+    def forbid_further_declarations(self, user: str) -> None:
         """Forbid further declarations, because a problem uses the model."""
         self._in_use_by = self._in_use_by or user
 
-    def _build_model_function(self, name: str, expressions: Any, *names: str) -> Any:
+    def _build_cached_model_function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
             self._functions[name] = ca.Function(
                 name, list(self.arguments()), expressions(), _ARGUMENTS, list(names)
@@ -615,8 +615,8 @@ class Model(StrictAttributes):
     def _declare_model_variable(
         self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
     ) -> Symbol:
-        self._require_model_not_in_use(kind)
-        self._check_declared_name_is_new(name)
+        self._require_unused_model(kind)
+        self._require_new_variable_name(name)
         return self._variables.declare_variable(kind, name, size, unit, nominal)
 
     def _declare_composed_control(
@@ -625,16 +625,16 @@ class Model(StrictAttributes):
         size = max(first.variable.size, second.variable.size)
         parts = (first.variable.name, second.variable.name)
         composed = kind(Variable(name, size, unit), parts)
-        value = self.output(name, composed.compose_control(first, second), unit=unit)
+        value = self.output(name, composed.compose_control_from_parts(first, second), unit=unit)
         self._composed_controls[name] = composed
         return value
 
-    def _check_declared_name_is_new(self, name: str) -> None:
+    def _require_new_variable_name(self, name: str) -> None:
         read_variable_name(name, f"variable of model '{self.name}'", ModelError)
         if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
-    def _require_model_not_in_use(self, what: str) -> None:
+    def _require_unused_model(self, what: str) -> None:
         if self._in_use_by is not None:
             raise ModelError(
                 f"model '{self.name}' is already used by {self._in_use_by}: "
@@ -650,7 +650,7 @@ class Model(StrictAttributes):
         return vector
 
     def _read_model_expression(self, value: Any, what: str, size: int | None) -> Any:
-        expression = read_expression(value, what, size)
+        expression = convert_to_sx_column(value, what, size)
         foreign = find_unknown_symbols(expression, list(self.arguments()))
         if foreign:
             raise ModelError(

@@ -116,7 +116,7 @@ class TabularData:
         return target
 
 
-def iterate_padded_variable_rows(
+def iterate_nan_padded_variables(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)

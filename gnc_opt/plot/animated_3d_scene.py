@@ -99,7 +99,7 @@ def _serialise_3d_scene(
     volumes = {name: sample_ellipsoid_surface(*view.keep_out_volume(name)) for name in view.keep_out}
     bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
     still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
-    low, high, size = _compute_bounding_box([*usual, *still], view)
+    low, high, size = _compute_scene_bounding_box([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
     problem = getattr(next(iter(shown.values())), "problem", None)
@@ -132,7 +132,7 @@ def _serialise_vehicle_motion(each: MotionSamples, digits: int) -> dict[str, Any
     }
 
 
-def _compute_bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
+def _compute_scene_bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
     """Return lower and upper corner of the scene with a margin, and its largest extent."""
     everything = np.hstack(points)
     low, high = everything.min(axis=1), everything.max(axis=1)

@@ -21,7 +21,7 @@ from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
     apply_plot_style,
-    count_axes_in_two_column_rows,
+    count_axes_per_figure_row,
     create_figure_with_axes_rows,
     format_axis_label,
     format_unit,
@@ -145,20 +145,20 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_plot_style():
         figure, axes = create_figure_with_axes_rows(
-            count_axes_in_two_column_rows(len(chosen)), 1.7, share_x=False, gap=0.1
+            count_axes_per_figure_row(len(chosen)), 1.7, share_x=False, gap=0.1
         )
         for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
-            _draw_measure_histogram(ax, campaign, name, finite)
+            _draw_empirical_distribution(ax, campaign, name, finite)
             unit = campaign.unit(name)
-            _draw_measure_limit(ax, campaign.limits.get(name), unit, finite)
+            _draw_limit_of_performance_measure(ax, campaign.limits.get(name), unit, finite)
             ax.set_xlabel(format_axis_label(campaign.describe_measure(name, format_variable_name), unit))
         place_legend_above(axes[0], axes[1:])
     return figure
 
 
-def _draw_measure_histogram(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
+def _draw_empirical_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
     shares = np.arange(1, finite.size + 1) / len(campaign)
     if finite.size:
         ax.step(np.r_[finite[0], finite], np.r_[0.0, shares], where="post", **_CURVE)
@@ -178,7 +178,7 @@ def _draw_measure_histogram(ax: Axes, campaign: Campaign, name: str, finite: Any
     ax.set_ylabel("share of runs")
 
 
-def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -> None:
+def _draw_limit_of_performance_measure(ax: Axes, limit: float | None, unit: str, finite: Any) -> None:
     if limit is None:
         return
     ends = ax.get_xlim()
@@ -301,7 +301,9 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     for kind, names in group_variables_by_figure(nominal).items():
         if names:
             samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
-            draw = partial(_draw_percentiles, times, samples, _sample_run_variables(nominal, kind, times))
+            draw = partial(
+                _draw_percentiles_over_time, times, samples, _sample_run_variables(nominal, kind, times)
+            )
             yield kind, _plot_signal_components(campaign, kind, names, times, draw)
 
 
@@ -328,7 +330,7 @@ def _plot_signal_components(
     rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
     limits = _find_saturation_limits(campaign) if kind == "controls" else {}
     with apply_plot_style():
-        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(rows)), 1.5)
+        figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(rows)), 1.5)
         for i, ax in zip(rows, axes, strict=True):
             draw(i, ax)
             for level in limits.get(layout.labels[i], ()):
@@ -341,7 +343,7 @@ def _plot_signal_components(
     return figure
 
 
-def _draw_percentiles(times: Array, samples: Array, nominal: Array, i: int, ax: Axes) -> None:
+def _draw_percentiles_over_time(times: Array, samples: Array, nominal: Array, i: int, ax: Axes) -> None:
     """Draw percentiles and range over the runs of the samples i, (n_times, n_runs), which are NaN after the end."""
     ordered = np.sort(samples[i], axis=1)  # NaN last
     count = np.sum(~np.isnan(ordered), axis=1)
@@ -357,12 +359,12 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
     """Return a figure of final errors before the end of each run, of which the last is nominal, with the limits."""
     times = np.linspace(-_FINAL_SHARE * max(run.times[-1] - run.times[0] for run in runs), 0.0, 101)
     with apply_plot_style():
-        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(limits)), 1.5)
+        figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(limits)), 1.5)
         for ax, (name, limit) in zip(axes, limits.items(), strict=True):
             samples = np.stack(
                 [_sample_final_error_history(campaign, run, name, times) for run in runs], axis=-1
             )
-            _draw_percentiles(times, samples[None, :, :-1], samples[None, :, -1], 0, ax)
+            _draw_percentiles_over_time(times, samples[None, :, :-1], samples[None, :, -1], 0, ax)
             ax.axhline(limit, **_LIMIT)
             last, middle = samples[-1], np.fmax(limit, np.nanmedian(samples[-1]))
             top = 1.2 * min(np.fmax(limit, np.fmax.reduce(last)), _FAR * middle)

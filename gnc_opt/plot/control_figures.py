@@ -24,7 +24,7 @@ from gnc_opt.plot.figure_style import (
     COLORS,
     THIN,
     apply_plot_style,
-    count_axes_in_two_column_rows,
+    count_axes_per_figure_row,
     create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
@@ -77,7 +77,7 @@ def plot_controls(
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
     with apply_plot_style():
-        counts = [1 + pair for pair in paired] if any(paired) else count_axes_in_two_column_rows(len(rows))
+        counts = [1 + pair for pair in paired] if any(paired) else count_axes_per_figure_row(len(rows))
         figure, drawn = create_figure_with_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):

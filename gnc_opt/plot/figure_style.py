@@ -61,7 +61,7 @@ def create_figure(height: float, width: float = 2 * PANEL_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def count_axes_in_two_column_rows(count: int) -> list[int]:
+def count_axes_per_figure_row(count: int) -> list[int]:
     """Return the number of axes in each row, for `create_figure_with_axes_rows`."""
     return [2] * (count // 2) + [1] * (count % 2)
 

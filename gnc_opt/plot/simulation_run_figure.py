@@ -13,7 +13,7 @@ from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
     apply_plot_style,
-    count_axes_in_two_column_rows,
+    count_axes_per_figure_row,
     create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
@@ -63,7 +63,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_plot_style():
-        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(names)), 1.7)
+        figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(names)), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)
             if kind == "states" and run.reference is not None and name in run.reference_layout:

@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.figure_style import (
     COLORS,
     apply_plot_style,
-    count_axes_in_two_column_rows,
+    count_axes_per_figure_row,
     create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
@@ -127,7 +127,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     if not labels or solution.problem is None:
         return None
     with apply_plot_style():
-        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(labels)), 1.8)
+        figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(labels)), 1.8)
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
@@ -139,7 +139,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
 
 def _list_path_inequalities(phase: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
     """Return label and row of each path constraint, without equations and lengths of directions."""
-    box, lengths = phase.path_bounds, [c.length_constraint_name for c in phase.vector_controls]
+    box, lengths = phase.path_bounds, [c.direction_norm_constraint_name for c in phase.vector_controls]
     return [
         (label, i, phase)
         for i, label in enumerate(phase.path_labels)
@@ -203,7 +203,7 @@ def _draw_states_or_costates(
     names = select_plotted_variable_names(phases, "states", names)
     negligible = find_negligible_costates(phases) if costates else dict.fromkeys(names, ROUNDING)
     with apply_plot_style():
-        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(names)), 1.8)
+        figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in phases if name in leg.states]
             for leg in owners:
@@ -212,7 +212,7 @@ def _draw_states_or_costates(
                     ax, *sample_piecewise_function(signal, leg.breaks), list_legend_labels(signal)
                 )
                 if not costates:
-                    _draw_bounds_within_axes(ax, leg, name)
+                    _draw_state_bounds(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
             unit = format_unit_quotient(get_cost_unit(solution), variable.unit) if costates else variable.unit
             ax.set_ylabel(format_axis_label(text, unit))
@@ -223,7 +223,7 @@ def _draw_states_or_costates(
     return figure
 
 
-def _draw_bounds_within_axes(ax: Axes, phase: PhaseSolution, name: str) -> None:
+def _draw_state_bounds(ax: Axes, phase: PhaseSolution, name: str) -> None:
     rows, limits = phase.states.slice(name), ax.get_ylim()
     for level in np.unique([phase.state_bounds.lower[rows], phase.state_bounds.upper[rows]]):
         if limits[0] <= level <= limits[1]:

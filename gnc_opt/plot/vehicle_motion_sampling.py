@@ -100,13 +100,13 @@ class MotionSamples:
 
 def get_motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the start and end time (s) of a motion."""
-    parts = _split_motion_into_segments(moved, view)
+    parts = _split_motion_into_phases(moved, view)
     return parts[0].begin, parts[-1].end
 
 
 def sample_vehicle_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
-    parts = _split_motion_into_segments(moved, view)
+    parts = _split_motion_into_phases(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
     owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
@@ -115,7 +115,7 @@ def sample_vehicle_motion(moved: Moved, view: View, times: Array) -> MotionSampl
     def stack_motion_variables(names: Names) -> Array:
         return np.concatenate(
             [
-                np.vstack([part.evaluate_motion_signal(n, t) for n in _list_motion_variable_names(names)])
+                np.vstack([part.evaluate_motion_variable(n, t) for n in _list_motion_variable_names(names)])
                 for part, t in groups
             ],
             axis=1,
@@ -124,7 +124,7 @@ def sample_vehicle_motion(moved: Moved, view: View, times: Array) -> MotionSampl
     position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
         names, values = _list_motion_variable_names(view.position), stack_motion_variables(view.position)
-        position = _pad_position_to_three_rows(values, f"the position {', '.join(names)}")
+        position = _pad_position_to_three_components(values, f"the position {', '.join(names)}")
         unit = parts[0].get_position_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
@@ -135,7 +135,7 @@ def sample_vehicle_motion(moved: Moved, view: View, times: Array) -> MotionSampl
         )
     if view.force is not None:
         name = ", ".join(_list_motion_variable_names(view.force))
-        force = _pad_position_to_three_rows(stack_motion_variables(view.force), f"the force {name}")
+        force = _pad_position_to_three_components(stack_motion_variables(view.force), f"the force {name}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return MotionSamples(times, position, dcm, force, unit, labels)
 
@@ -150,10 +150,10 @@ class _MotionPhase:
     source: Any
     layouts: Mapping[str, Layout]
 
-    def evaluate_motion_signal(self, name: str, t: Array) -> Array:
+    def evaluate_motion_variable(self, name: str, t: Array) -> Array:
         """Return the values of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
-        values = np.atleast_2d(self._find_trajectory_signal(whole)(t))
+        values = np.atleast_2d(self._find_motion_variable(whole)(t))
         if not bracket:
             return values
         labels = Variable(whole, len(values)).labels
@@ -162,7 +162,7 @@ class _MotionPhase:
         k = labels.index(name)
         return values[k : k + 1]
 
-    def _find_trajectory_signal(self, name: str) -> Any:
+    def _find_motion_variable(self, name: str) -> Any:
         if name in self.layouts["state"]:
             return self.source.state(name)
         try:
@@ -180,7 +180,7 @@ class _MotionPhase:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _split_motion_into_segments(moved: Moved, view: View) -> list[_MotionPhase]:
+def _split_motion_into_phases(moved: Moved, view: View) -> list[_MotionPhase]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
         parts = [_MotionPhase(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
@@ -213,7 +213,7 @@ def sample_ellipsoid_surface(centre: Array, semi_axes: Array) -> Array:
     return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
 
 
-def _pad_position_to_three_rows(values: Array, what: str) -> Array:
+def _pad_position_to_three_components(values: Array, what: str) -> Array:
     """Return three rows; the second of two components is drawn upward, as is a single one."""
     nothing = np.zeros(values.shape[1])
     if len(values) == 1:

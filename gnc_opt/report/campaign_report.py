@@ -18,8 +18,8 @@ from gnc_opt.report.html_report_document import (
     build_html_document,
     create_report_folder,
     embed_svg_figure,
-    format_command_as_html,
-    format_status_word,
+    format_shell_command_as_html,
+    format_status_as_html,
     get_running_command_line,
     read_figure_captions,
     save_figures_as_svg,
@@ -107,7 +107,7 @@ def write_campaign_report(
     captions = read_figure_captions("campaign")
     begin, end = campaign.span
     first = _rank_runs_by_limit_excess(campaign)[0][0]
-    worst, cause = int(campaign.indices[first]), _describe_failure_cause(campaign, first)
+    worst, cause = int(campaign.indices[first]), _describe_run_failure(campaign, first)
     files = save_figures_as_svg(folder, _draw_campaign_figures(campaign, worst, runs, rerun))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
@@ -138,7 +138,7 @@ def write_campaign_report(
         + _build_campaign_figures_html(files, "dispersion", captions),
         "Envelopes": _build_campaign_figures_html(files, "envelope", captions)
         + embed_captioned_figures("envelope-errors", "envelope-states", "envelope-controls"),
-        "Saturation": _build_saturation_table(campaign, captions["saturation"]),
+        "Saturation": _build_actuator_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
         + embed_captioned_figures("errors", "states", "controls"),
         "Scenario": format_html_table(("part", "name", "description"), scenario),
@@ -157,7 +157,7 @@ def write_campaign_report(
         runs=len(campaign), seed=campaign.seed, end=f"{end:.10g}", worst=worst
     )
     sections["Software"] = (
-        format_command_as_html(command or get_running_command_line())
+        format_shell_command_as_html(command or get_running_command_line())
         + repeated
         + format_html_table(("", ""), [*data, *versions])
     )
@@ -167,7 +167,7 @@ def write_campaign_report(
     label = f"{passed.passed} of {len(campaign)} passed"
     if required is not None:
         label += f", {100 * required:.6g} % {'' if all_passed else 'not '}demonstrated"
-    chip = format_status_word(label, tone)
+    chip = format_status_as_html(label, tone)
     headline = f"{chip}The pass rate is {passed} with 95 % confidence."
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
@@ -195,7 +195,7 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
     )
 
     cells, shares = build_campaign_table_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
-    found = _compute_percentile_limit_ratios(campaign, _LEVELS[-1])
+    found = _compute_percentiles_relative_to_limit(campaign, _LEVELS[-1])
     for name in select_printed_measures(campaign):
         share, low, high = map(_format_limit_ratio, found.get(name, 3 * (np.nan,)))
         shares.append(f"{share} ({f'{low} to {high}' if high else f'above {low}'})" * bool(share and low))
@@ -222,7 +222,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     for k in order[: min(count, _LISTED_RUNS) or _CLOSEST_RUNS * bool(limits)]:
         largest = np.argsort(-np.abs(spread[:, k]), kind="stable")[:2]
         deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
-        rows.append((int(campaign.indices[k]), *_describe_failure_cause(campaign, k), deviations))
+        rows.append((int(campaign.indices[k]), *_describe_run_failure(campaign, k), deviations))
     titles = ("run", "cause or measure", "value", "limit", "value / limit", "at (s)", "largest deviations")
     text = captions["failed runs"].format(count, np.sum(~campaign.ok)) if count else ""
     beyond = {name: np.sum((excess[name] > 0.0) & (excess[name] < np.inf)) for name in limits}
@@ -233,7 +233,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     return {title: f"<p>{text}</p>{format_html_table(titles, rows)}" if rows else ""}
 
 
-def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
+def _describe_run_failure(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
     """Return why a run failed, or the measure closest to its limit, with value, limit, share of it and time."""
     outcome, excess = (
         campaign.outcomes[k],
@@ -251,7 +251,7 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     return cause, *texts, share, f"{_find_time_of_extreme_value(campaign, name, k):.6g}"
 
 
-def _compute_percentile_limit_ratios(
+def _compute_percentiles_relative_to_limit(
     campaign: Campaign, level: float
 ) -> dict[str, tuple[float, float, float]]:
     """Return a percentile of each measure and its confidence interval as shares of the limit, if that is positive."""
@@ -275,7 +275,7 @@ def build_campaign_conclusion(
     requirement = _format_pass_rate_requirement(rate, captions, required)
     passed = captions["passed runs"].format(rate.passed, rate.runs, act, *interval, requirement)
     for level in _HEADLINE_LEVELS:
-        shares = _compute_percentile_limit_ratios(campaign, level)
+        shares = _compute_percentiles_relative_to_limit(campaign, level)
         if shares and np.all(np.isfinite(list(shares.values()))):
             name = max(shares, key=lambda each: shares[each][2])
             share, low, high = map(_format_limit_ratio, shares[name])
@@ -340,7 +340,7 @@ def _format_controller_design_result(campaign: Campaign, name: str, text: str) -
     return f"{numbers} {note}".rstrip(), ""
 
 
-def _build_saturation_table(campaign: Campaign, note: str) -> str:
+def _build_actuator_saturation_table(campaign: Campaign, note: str) -> str:
     """Return the share of the runs' time during which each command is beyond a limit of its actuator."""
     ends = [outcome.time for outcome in campaign.outcomes]
     durations = np.where(np.isnan(ends), campaign.span[1], ends) - campaign.span[0]

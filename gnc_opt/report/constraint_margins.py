@@ -60,7 +60,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         (t, x), (_, u) = (sample_phase_signal(leg, signal) for signal in (leg.x, leg.applied))
         paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
         states, arcs = leg.states.variables, _list_active_constraint_arcs(solution, s)
-        lengths = {c.length_constraint_name for c in leg.vector_controls}
+        lengths = {c.direction_norm_constraint_name for c in leg.vector_controls}
         initial, final = (
             [replace(v, name=f"{end} {v.name}") for v in states] for end in ("initial", "final")
         )

@@ -36,7 +36,7 @@ def create_report_folder(directory: str | Path) -> Path:
 
 def read_figure_captions(report: str) -> dict[str, str]:
     """Return the captions of a report on a "solution" or a "campaign", or the usual "symbols" of parameters."""
-    return dict(json.loads(_read_package_file("captions.json"))[report])
+    return dict(json.loads(_read_report_resource_file("captions.json"))[report])
 
 
 def save_figures_as_svg(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
@@ -68,14 +68,14 @@ def build_html_document(
     heading = title.translate({ord(mark): f"\\{ord(mark):x} " for mark in '\\"<>&\n'})
     texts |= {
         "heading": heading,
-        "style": _read_package_file("report.css"),
+        "style": _read_report_resource_file("report.css"),
         "links": links,
         "sections": bodies,
     }
-    return Template(_read_package_file("page.html")).substitute(texts)
+    return Template(_read_report_resource_file("page.html")).substitute(texts)
 
 
-def _read_package_file(name: str) -> str:
+def _read_report_resource_file(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
@@ -126,7 +126,7 @@ def _split_svg_figure_by_axes(axes: list[str], width: float, height: float) -> d
     return views
 
 
-def format_status_word(word: str, tone: str) -> str:
+def format_status_as_html(word: str, tone: str) -> str:
     """Return an emphasised word; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
@@ -140,5 +140,5 @@ def get_running_command_line() -> str | None:
     return shlex.join(["python", *module, *sys.argv[1:]])
 
 
-def format_command_as_html(command: str | None) -> str:
+def format_shell_command_as_html(command: str | None) -> str:
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""

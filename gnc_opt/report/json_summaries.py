@@ -97,7 +97,9 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                     {**build_attribute_dict(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
                     for arc in solution.structure
                 ],
-                "refinement": None if solution.history is None else _build_refinement_dict(solution.history),
+                "refinement": None
+                if solution.history is None
+                else _build_mesh_refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
                 "phases": [_build_phase_summary_dict(phase) for phase in solution.phases.values()],
                 "provenance": dict(solution.provenance),
@@ -152,7 +154,7 @@ def _build_verdict_dict(verdict: Verdict) -> dict[str, Any]:
     return {**build_attribute_dict(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
-def _build_refinement_dict(history: History) -> dict[str, Any]:
+def _build_mesh_refinement_dict(history: History) -> dict[str, Any]:
     return {
         "status": history.status.value,
         "passes": len(history.passes),
@@ -166,10 +168,10 @@ def _build_phase_summary_dict(phase: PhaseSolution) -> dict[str, Any]:
         **build_attribute_dict(phase, "name", "initial_time", "final_time"),
         "segments": phase.mesh.segments,
         "points": phase.mesh.size,
-        "states": _list_layout_variables(phase.states),
-        "controls": _list_layout_variables(phase.controls),
+        "states": _list_variable_sizes_and_units(phase.states),
+        "controls": _list_variable_sizes_and_units(phase.controls),
     }
 
 
-def _list_layout_variables(layout: Layout) -> list[dict[str, Any]]:
+def _list_variable_sizes_and_units(layout: Layout) -> list[dict[str, Any]]:
     return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]

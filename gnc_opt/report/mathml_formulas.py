@@ -69,13 +69,13 @@ class Formulas:
         used = "".join(self.names.values())
         self.letter = next(letter for letter in "kwcabdegηζ" if f"<mi>{letter}</mi>" not in used)
 
-    def is_short_enough_to_print(self, expressions: Any) -> bool:
+    def are_formulas_short(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; records repeated subexpressions."""
         uses: Counter[int] = Counter()
         waiting = ca.vertsplit(ca.densify(expressions))
         while waiting:
             node = waiting.pop()
-            for operand in self._list_node_operands(node):
+            for operand in self._list_expression_operands(node):
                 place = operand.element_hash()
                 uses[place] += 1
                 if uses[place] == 1:
@@ -87,21 +87,21 @@ class Formulas:
 
     def split_formula_terms(self, expression: Any) -> list[str]:
         """Return the signed terms of a formula, between which a line may break."""
-        return list(self._iterate_signed_terms(expression, ""))
+        return list(self._iterate_terms_of_sum(expression, ""))
 
-    def _list_node_operands(self, node: Any) -> list[Any]:
+    def _list_expression_operands(self, node: Any) -> list[Any]:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
-    def _iterate_signed_terms(self, node: Any, sign: str, least: int = _CONDITIONAL) -> Iterator[str]:
+    def _iterate_terms_of_sum(self, node: Any, sign: str, least: int = _CONDITIONAL) -> Iterator[str]:
         if (
             node.element_hash() not in self.names
             and node.n_dep() == 2
             and node.op() in (ca.OP_ADD, ca.OP_SUB)
         ):
-            yield from self._iterate_signed_terms(node.dep(0), sign, _SUM)
+            yield from self._iterate_terms_of_sum(node.dep(0), sign, _SUM)
             if node.op() == ca.OP_ADD:
-                yield from self._iterate_signed_terms(node.dep(1), "+", _SUM)
+                yield from self._iterate_terms_of_sum(node.dep(1), "+", _SUM)
                 return
             yield _typeset_binary_operator("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
             return
@@ -109,19 +109,19 @@ class Formulas:
         if sign and binding == _SIGNED:
             yield _typeset_binary_operator("−") + text.removeprefix(_MINUS)
         else:
-            text = text if binding >= least else _enclose_in_parentheses(text)
+            text = text if binding >= least else _enclose_mathml_in_parentheses(text)
             yield (_typeset_binary_operator(sign) if sign else "") + text
 
-    def _count_expression_nodes(self, node: Any) -> int:
+    def _count_subexpressions(self, node: Any) -> int:
         place = node.element_hash()
         if place not in self._sizes:
             self._sizes[place] = 1 + sum(
-                self._count_expression_nodes(operand) for operand in self._list_node_operands(node)
+                self._count_subexpressions(operand) for operand in self._list_expression_operands(node)
             )
         return self._sizes[place]
 
     def _needs_auxiliary_variable(self, node: Any) -> bool:
-        size, repeated = self._count_expression_nodes(node), node.element_hash() in self._repeated
+        size, repeated = self._count_subexpressions(node), node.element_hash() in self._repeated
         return size >= AUXILIARY_LONG_NODES or (repeated and size >= AUXILIARY_MIN_NODES)
 
     def _operand_to_mathml(self, node: Any, least: int) -> str:
@@ -136,7 +136,7 @@ class Formulas:
             self.names[place], binding = known[text], _ATOM
             text = known[text]
             self._sizes.clear()
-        return text if binding >= least else _enclose_in_parentheses(text)
+        return text if binding >= least else _enclose_mathml_in_parentheses(text)
 
     def _expression_to_mathml(self, node: Any) -> tuple[str, int]:
         place = node.element_hash()
@@ -164,7 +164,7 @@ class Formulas:
             elif (
                 place not in self.names
                 and factor.op() in _PRODUCTS
-                and self._is_factor_expanded(factor, node)
+                and self._is_factor_written_in_place(factor, node)
             ):
                 number *= _PRODUCTS[factor.op()]
                 waiting += operands[::-1] * (2 if factor.op() == ca.OP_SQ else 1)
@@ -182,7 +182,7 @@ class Formulas:
         binding = _SIGNED if number < 0 else _PRODUCT if len(shown) > 1 else _ATOM
         return _MINUS * (number < 0) + _TIMES.join(shown), binding
 
-    def _is_factor_expanded(self, factor: Any, product: Any) -> bool:
+    def _is_factor_written_in_place(self, factor: Any, product: Any) -> bool:
         """Return whether a factor becomes no auxiliary quantity, after its own operands have become some."""
         if factor is not product and self._needs_auxiliary_variable(factor):
             self._expression_to_mathml(factor)
@@ -233,7 +233,7 @@ def convert_latex_to_mathml(formula: str, display: str) -> str:
 
 
 def typeset_function_call(name: str, arguments: Iterable[str]) -> str:
-    return f"<mi>{escape(name)}</mi>{_enclose_in_parentheses('<mo>,</mo>'.join(arguments))}"
+    return f"<mi>{escape(name)}</mi>{_enclose_mathml_in_parentheses('<mo>,</mo>'.join(arguments))}"
 
 
 def typeset_component_names(symbols: Mapping[str, Any]) -> dict[int, str]:
@@ -265,7 +265,7 @@ def typeset_names_in_html(html: str, names: Iterable[str]) -> str:
     known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
 
-    def typeset_matched_name(found: re.Match[str]) -> str:
+    def typeset_matched_variable_name(found: re.Match[str]) -> str:
         base, marks = split_symbol_and_index(found[0])
         symbol = _GREEK.get(base, base)
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
@@ -278,7 +278,8 @@ def typeset_names_in_html(html: str, names: Iterable[str]) -> str:
     ]
     parts = re.split(r"(<[^>]*>)", "".join(parts))
     texts = (
-        part if part.startswith("<") or not known else label.sub(typeset_matched_name, part) for part in parts
+        part if part.startswith("<") or not known else label.sub(typeset_matched_variable_name, part)
+        for part in parts
     )
     text = (
         re.sub(r"(?<=<tr><td>)([A-Za-z])(?=</td>| [≥≤[])", r"<i>\1</i>", "".join(texts))
@@ -316,9 +317,9 @@ def _typeset_binary_operator(sign: str) -> str:
 
 
 def _typeset_power(base: str, power: str) -> str:
-    base = _enclose_in_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
+    base = _enclose_mathml_in_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
     return f"<msup><mrow>{base}</mrow><mrow>{power}</mrow></msup>"
 
 
-def _enclose_in_parentheses(text: str) -> str:
+def _enclose_mathml_in_parentheses(text: str) -> str:
     return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"

@@ -37,7 +37,7 @@ def format_problem_statement(problem: Problem) -> str:
     phases = "".join(_build_phase_section(problem, phase, shown) for phase in problem.phases.values())
     return (
         f"<p>Objective: {format_objective_section(problem, writer)}.</p>"
-        + _format_auxiliary_formulas(writer)
+        + _format_auxiliary_symbol_formulas(writer)
         + phases
         + _build_boundary_constraints_section(problem, writer)
         + _build_free_parameters_section(problem)
@@ -61,11 +61,11 @@ def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
         for time, symbol in zip(times.values(), (phase.initial_time, phase.final_time), strict=True):
             names[symbol.element_hash()] = time
         for name, (symbol, _) in phase.integrands.items():
-            names[symbol.element_hash()] = _format_integral_name(name)
+            names[symbol.element_hash()] = _format_integral_symbol(name)
     return names
 
 
-def _format_integral_name(name: str) -> str:
+def _format_integral_symbol(name: str) -> str:
     _, numbered, index = name.partition("integral_")
     return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else typeset_variable_name(name)
 
@@ -73,8 +73,10 @@ def _format_integral_name(name: str) -> str:
 def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
     """Return "minimise t_f, in s"; without a writer of auxiliary quantities "the cost" if the formula needs some."""
     used = writer or Formulas(_map_boundary_symbols_to_names(problem))
-    terms = used.split_formula_terms(problem.cost) if used.is_short_enough_to_print(problem.cost) else []
-    formula = _allow_breaks_between_terms(terms) if terms and (writer or not used.auxiliary) else "the cost"
+    terms = used.split_formula_terms(problem.cost) if used.are_formulas_short(problem.cost) else []
+    formula = (
+        _format_terms_with_line_breaks(terms) if terms and (writer or not used.auxiliary) else "the cost"
+    )
     unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
     return f"{'maximise' if problem.sense < 0 else 'minimise'} {formula}{unit}"
 
@@ -227,14 +229,14 @@ def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
     writer = Formulas(_list_phase_symbol_names(problem, phase))
     states = phase.model.states
     symbols = {
-        _hash_column_elements(phase.model.symbol(v.name)): v.name
+        _compute_expression_hashes(phase.model.symbol(v.name)): v.name
         for v in (*states.variables, *phase.model.controls.variables)
     }
     rows: list[tuple[str, Any]] = []
     for v in states.variables:
         rates = phase.model.derivative()[states.slice(v.name)]
         if (
-            whole := symbols.get(_hash_column_elements(rates))
+            whole := symbols.get(_compute_expression_hashes(rates))
         ) is not None:  # of a vector, such as the velocity
             rows.append((typeset_variable_name(v.name, dotted=True), typeset_variable_name(whole)))
         else:
@@ -249,7 +251,7 @@ def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
         text = f"<details open><summary>{words}</summary>{text}</details>"
     if phase.integrands:
         integrals = [
-            (f"{_format_integral_name(name)}", value) for name, (_, value) in phase.integrands.items()
+            (f"{_format_integral_symbol(name)}", value) for name, (_, value) in phase.integrands.items()
         ]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equations_as_mathml(writer, integrals)
     return text + _add_html_section_title(
@@ -257,7 +259,7 @@ def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
     )
 
 
-def _hash_column_elements(column: Any) -> tuple[int, ...]:
+def _compute_expression_hashes(column: Any) -> tuple[int, ...]:
     return tuple(element.element_hash() for element in ca.vertsplit(column))
 
 
@@ -274,7 +276,7 @@ def _list_phase_symbol_names(problem: Problem, phase: Phase) -> dict[int, str]:
     names |= typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
     for use in model.find_table_calls():
-        if use.value.numel() == 1 and writer.is_short_enough_to_print(use.arguments):
+        if use.value.numel() == 1 and writer.are_formulas_short(use.arguments):
             arguments = [
                 "".join(writer.split_formula_terms(argument)) for argument in ca.vertsplit(use.arguments)
             ]
@@ -308,17 +310,19 @@ def _format_equations_as_mathml(writer: Formulas, rows: Sequence[tuple[str, Any]
 def _format_formula_table(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]) -> str:
     """Return a table of label, MathML before an expression, expression or its MathML, and MathML after it."""
     expressions = ca.vertcat(*[value for _, _, value, _ in lines if not isinstance(value, str)])
-    if expressions.numel() and not writer.is_short_enough_to_print(expressions):
+    if expressions.numel() and not writer.are_formulas_short(expressions):
         names = ", ".join(dict.fromkeys(label for label, *_ in lines if not label.startswith("<")))
         return f"<p>{len(lines)} expressions as in the program{f': {names}' * bool(names)}; too long to show.</p>"
     rows = []
     for label, before, value, after in lines:
         terms = [value] if isinstance(value, str) else writer.split_formula_terms(value)
-        rows.append((label, _allow_breaks_between_terms([part for part in (before, *terms, after) if part])))
-    return _build_formula_table_html(rows) + _format_auxiliary_formulas(writer)
+        rows.append(
+            (label, _format_terms_with_line_breaks([part for part in (before, *terms, after) if part]))
+        )
+    return _build_formula_table_html(rows) + _format_auxiliary_symbol_formulas(writer)
 
 
-def _format_auxiliary_formulas(writer: Formulas) -> str:
+def _format_auxiliary_symbol_formulas(writer: Formulas) -> str:
     found = [
         (format_inline_formula(name), format_inline_formula("<mo>=</mo>" + formula))
         for name, formula in writer.auxiliary[writer.shown :]
@@ -327,7 +331,7 @@ def _format_auxiliary_formulas(writer: Formulas) -> str:
     return ("<p>where</p>" if found else "") + _build_formula_table_html(found)
 
 
-def _allow_breaks_between_terms(terms: Iterable[str]) -> str:
+def _format_terms_with_line_breaks(terms: Iterable[str]) -> str:
     return " ".join(format_inline_formula(term) for term in terms)
 
 

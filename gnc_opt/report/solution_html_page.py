@@ -43,8 +43,8 @@ from gnc_opt.report.control_structure_margins import (
 )
 from gnc_opt.report.html_report_document import (
     embed_svg_figure,
-    format_command_as_html,
-    format_status_word,
+    format_shell_command_as_html,
+    format_status_as_html,
     read_figure_captions,
 )
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
@@ -126,10 +126,10 @@ def build_solution_page(
         + _build_boundary_values_table(solution, "costate")
         + embed_captioned_figures("hamiltonian"),
         "Arcs": _build_control_arcs_table(solution, limits, captions["arcs"])
-        + _build_structure_margins_table(solution, margins, captions["structure"]),
+        + _build_control_structure_margins_table(solution, margins, captions["structure"]),
         "Multipliers": _build_boundary_multipliers_table(solution),
         "Refinement": f"<p>Mesh of the solution: {escape(format_mesh(solution))}.</p>"
-        + _build_refinement_table(solution.history),
+        + _build_mesh_refinement_table(solution.history),
         "Conditions": _format_optimality_conditions_table(verdict),
     }
     names = _list_variable_names(solution)
@@ -171,7 +171,7 @@ def _format_solve_and_verdict_headline(solution: Solution, verdict: Verdict | No
     """Return a line with the result of the solve and of the optimality check, and the objective."""
     status = solution.status
     chips = (
-        "" if status.solved else format_status_word(f"not solved: {status.value.replace('_', ' ')}", "bad")
+        "" if status.solved else format_status_as_html(f"not solved: {status.value.replace('_', ' ')}", "bad")
     )
     if verdict is not None:
         tone = "good" if verdict.minimum else "bad" if verdict.failed else "open"
@@ -179,7 +179,7 @@ def _format_solve_and_verdict_headline(solution: Solution, verdict: Verdict | No
             "strict local minimum" if verdict.minimum else "necessary conditions hold, minimum not proven"
         )
         word = proven if verdict.ok else verdict.outcome
-        chips += format_status_word(f"optimality check: {word}", tone)
+        chips += format_status_as_html(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
     objective = escape(format_objective(solution))
     sense += "; ± is the numerical error only" * ("±" in objective)
@@ -194,7 +194,7 @@ def _format_nearly_singular_control(solution: Solution, margins: Iterable[Struct
             if m.risk * SINGULAR_SHARE < 1.0:
                 break
             label = typeset_names_in_html(escape(m.label), _list_variable_names(solution))
-            chip, share = format_status_word("nearly singular", "open"), f"{100.0 / m.risk:.3g} %"
+            chip, share = format_status_as_html("nearly singular", "open"), f"{100.0 / m.risk:.3g} %"
             return (
                 f"<br>{chip} The switching function of {label} falls to {share} of its largest magnitude at "
                 f"{m.time:.5g} {time_unit(solution)} without a switch."
@@ -210,11 +210,11 @@ def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: st
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     groups = [(group, find_worst_condition(found)) for group, found in verdict.condition_groups.items()]
-    checks = [(group, c.result.value.lower(), _format_condition_sentence(c)) for group, c in groups]
+    checks = [(group, c.result.value.lower(), _describe_condition_result(c)) for group, c in groups]
     failures = format_html_table(
         ("result", "reason", "what to do"),
         [
-            (c.result.value, _format_condition_sentence(c), REMEDIES.get(c.name, c.meaning))
+            (c.result.value, _describe_condition_result(c), REMEDIES.get(c.name, c.meaning))
             for c in verdict.open_conditions
         ],
     )
@@ -224,7 +224,7 @@ def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: st
     )
 
 
-def _format_condition_sentence(condition: Condition) -> str:
+def _describe_condition_result(condition: Condition) -> str:
     """Return value, tolerance, condition and location of a violation or margin in a sentence."""
     size, least = (f"{abs(value):.1e}" for value in (condition.value, condition.tolerance))
     place = f"{condition.name} ({condition.location_text})"
@@ -264,7 +264,7 @@ def _build_solution_summary_table(
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
         rows.append(("independent integration", f"of the applied controls: {text}"))
-    rows += _format_closest_constraint_row(limits, time_unit(solution))
+    rows += _format_smallest_path_margin_row(limits, time_unit(solution))
     rows += [*_format_vector_norm_rows(solution), *_format_propellant_and_effort_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_html_table(("", ""), rows)
@@ -347,12 +347,12 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
             for label, row in zip(labels, mine, strict=True):
                 numbers = (f"{value:.6g}" for value in (row[0], row[-1], row.min(), row.max()))
                 rows.append((phase.name, label, *numbers, unit))
-    return _build_table_by_phase(
+    return _build_html_table_by_phase(
         solution, (kind, "at the start", "at the end", "smallest", "largest", "unit"), rows
     )
 
 
-def _build_table_by_phase(
+def _build_html_table_by_phase(
     solution: Solution, titles: tuple[str, ...], rows: Sequence[tuple[str, ...]]
 ) -> str:
     """Return a table of rows that begin with the phase, which is omitted if there is only one."""
@@ -395,10 +395,12 @@ def _build_control_arcs_table(solution: Solution, limits: Iterable[LimitMargin],
         if not arcs or key[:2] in limited
     ]
     titles = ("control or constraint", "arc", f"from ({unit})", f"to ({unit})", "multiplier")
-    return _build_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_html_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
-def _build_structure_margins_table(solution: Solution, margins: Iterable[StructureMargin], note: str) -> str:
+def _build_control_structure_margins_table(
+    solution: Solution, margins: Iterable[StructureMargin], note: str
+) -> str:
     """Return the shortest arc, the slowest switch and the smallest extremum of a switching function."""
     rows = []
     for m in margins:
@@ -416,11 +418,11 @@ def _build_structure_margins_table(solution: Solution, margins: Iterable[Structu
         rows.append((m.phase, m.kind, m.label, f"{m.time:.5g}", text, share))
     note = f'<p class="quiet">{note}</p>' * any(m.kind != "shortest arc" for m in margins)
     titles = ("margin", "of", f"at ({time_unit(solution)})", "value", "relative to its scale")
-    table = _build_table_by_phase(solution, titles, rows)
+    table = _build_html_table_by_phase(solution, titles, rows)
     return f"<h3>Smallest margins of the arcs</h3>{table}{note}" if rows else ""
 
 
-def _build_refinement_table(history: History | None) -> str:
+def _build_mesh_refinement_table(history: History | None) -> str:
     if history is None:
         return ""
     numbered = [
@@ -451,28 +453,29 @@ def _build_constraint_margins_table(solution: Solution, limits: Iterable[LimitMa
         v, searched = found.quantity, found.quantity.name in ("initial time", "final time")
         relative = f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit and not searched else ""
         row = (
-            _format_limit_value(found) + " (search bound)" * searched,
+            _format_constraint_limit(found) + " (search bound)" * searched,
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
             f"{found.margin:.6g}{relative}",
         )
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
-    return _build_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_html_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
-def _format_limit_value(found: LimitMargin) -> str:
+def _format_constraint_limit(found: LimitMargin) -> str:
     v = found.quantity
     return f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
 
 
-def _format_closest_constraint_row(limits: Iterable[LimitMargin], unit: str) -> Iterator[tuple[str, str]]:
+def _format_smallest_path_margin_row(limits: Iterable[LimitMargin], unit: str) -> Iterator[tuple[str, str]]:
     """Yield the limit over time that is not attained with the smallest margin relative to the limit."""
     inactive = [each for each in limits if each.margin > 0.0 and each.limit and not np.isnan(each.time)]
     if inactive:
         found = min(inactive, key=lambda each: each.margin / abs(each.limit))
         share = f"{100.0 * found.margin / abs(found.limit):.3g} %"
-        text = f"{_format_limit_value(found)}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
+        limit = _format_constraint_limit(found)
+        text = f"{limit}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
         yield "smallest margin of an inactive limit", text
 
 
@@ -499,5 +502,7 @@ def _build_software_versions_table(solution: Solution, command: str | None, note
     ]
     rows.append(("last solve", solution.statistics.summary_text))
     return (
-        format_command_as_html(command) + format_html_table(("", ""), rows) + f'<p class="quiet">{note}</p>'
+        format_shell_command_as_html(command)
+        + format_html_table(("", ""), rows)
+        + f'<p class="quiet">{note}</p>'
     )

@@ -15,7 +15,7 @@ from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
+from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_nan_padded_variables
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 from gnc_opt.simulation.campaign_performance_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
@@ -272,9 +272,9 @@ class Campaign(StrictAttributes, PrintableResult):
         ]
         quantities = (
             (Variable("outcome"), np.array([outcomes], dtype=object)),
-            *iterate_padded_variable_rows(self.layouts["parameter"], self.parameters),
-            *iterate_padded_variable_rows(self.layouts["state"], self.states, "final."),
-            *iterate_padded_variable_rows(self.layouts["error"], self.errors, "error."),
+            *iterate_nan_padded_variables(self.layouts["parameter"], self.parameters),
+            *iterate_nan_padded_variables(self.layouts["state"], self.states, "final."),
+            *iterate_nan_padded_variables(self.layouts["error"], self.errors, "error."),
             *measures,
         )
         about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_float_array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.model_variables import call_user_function
+from gnc_opt.model.model_variables import evaluate_user_function_as_column
 from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
@@ -167,7 +167,9 @@ class SensorOutage(Block):
         if self.where is not None:
             states = ", ".join(tick.x)
             remedy = f"write a function of the time and of the plant's states by name, {states}"
-            found = call_user_function(self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy)
+            found = evaluate_user_function_as_column(
+                self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy
+            )
             out = ca.logic_and(out, ca.logic_not(found <= 0))  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
 
@@ -177,4 +179,4 @@ def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: i
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"
     )
-    call_user_function(retraction, arguments, size, f"the retraction given with {what}", remedy)
+    evaluate_user_function_as_column(retraction, arguments, size, f"the retraction given with {what}", remedy)

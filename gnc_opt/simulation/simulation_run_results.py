@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import StrictAttributes, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
-from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
+from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_nan_padded_variables
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME
 from gnc_opt.simulation.campaign_tables import LISTED
@@ -274,7 +274,7 @@ class Run(StrictAttributes, PrintableResult):
 
     def _build_tabular_data(self) -> TabularData:
         n = self.times.size
-        quantities = [*iterate_padded_variable_rows(self.layouts["state"], self.states)]
+        quantities = [*iterate_nan_padded_variables(self.layouts["state"], self.states)]
         steps = {
             "measured": self.measured,
             "command": self.commands,
@@ -282,11 +282,11 @@ class Run(StrictAttributes, PrintableResult):
             "memory": self.memory,
         }
         for kind, values in steps.items():
-            quantities += iterate_padded_variable_rows(self.layouts[kind], values, f"{kind}.", n)
+            quantities += iterate_nan_padded_variables(self.layouts[kind], values, f"{kind}.", n)
         if self.errors is not None:
-            quantities += iterate_padded_variable_rows(self.layouts["error"], self.errors, "error.")
+            quantities += iterate_nan_padded_variables(self.layouts["error"], self.errors, "error.")
         if self.reference is not None:
-            quantities += iterate_padded_variable_rows(self.layouts["measured"], self.reference, "reference.")
+            quantities += iterate_nan_padded_variables(self.layouts["measured"], self.reference, "reference.")
         about = {"outcome": str(self.outcome), "seed": self.seed}
         return TabularData(Variable("time", unit="s"), self.times, tuple(quantities), about)
 

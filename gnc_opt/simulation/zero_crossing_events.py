@@ -15,7 +15,7 @@ import numpy as np
 from gnc_opt.argument_checks import read_display_name, require_distinct_names, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
-from gnc_opt.model.model_variables import Layout, Variable, find_unknown_symbols, read_expression
+from gnc_opt.model.model_variables import Layout, Variable, convert_to_sx_column, find_unknown_symbols
 from gnc_opt.model.symbolic_dynamics_model import Model
 
 
@@ -23,7 +23,7 @@ def read_plant_expression(
     value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False
 ) -> Any:
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
-    expression = read_expression(value, what, size, ArgumentError)
+    expression = convert_to_sx_column(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
     foreign = find_unknown_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:

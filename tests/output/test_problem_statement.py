@@ -69,7 +69,7 @@ EXPRESSIONS = [
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)
 def test_formulas_have_the_values_of_their_expressions(expression):
     writer = Formulas(typeset_component_names(NAMES))
-    assert writer.is_short_enough_to_print(expression)
+    assert writer.are_formulas_short(expression)
     text = "".join(writer.split_formula_terms(expression))
     values = {"x": 1.7, "y": 0.6}
     for name, formula in writer.auxiliary:
@@ -93,7 +93,7 @@ def test_what_occurs_twice_is_written_once():
     root = ca.sqrt(1 + X**2 + Y**2)
     writer = Formulas(typeset_component_names(NAMES))
     pair = ca.vertcat(X / root, ca.sin(root) + root)
-    assert writer.is_short_enough_to_print(pair)
+    assert writer.are_formulas_short(pair)
     texts = ["".join(writer.split_formula_terms(row)) for row in ca.vertsplit(pair)]
     assert len(writer.auxiliary) == 1 and not any("msqrt" in text for text in texts)
 
@@ -126,7 +126,7 @@ def test_long_dynamics_are_described_instead():
     long = X
     for i in range(500):
         long = ca.sin(long) + i * Y
-    assert not Formulas(typeset_component_names(NAMES)).is_short_enough_to_print(long)
+    assert not Formulas(typeset_component_names(NAMES)).are_formulas_short(long)
 
 
 def test_names_are_typeset_and_escaped():

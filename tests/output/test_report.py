@@ -22,8 +22,8 @@ from gnc_opt.planning.solution.solution_summary import _summarise_overshoot
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_html_page import (
+    _describe_condition_result,
     _describe_hamiltonian_constancy,
-    _format_condition_sentence,
     compute_control_effort,
 )
 
@@ -440,10 +440,10 @@ def test_sentence_on_an_inconclusive_curvature_compares_no_margin() -> None:
     c = Condition(
         "second order", ConditionResult.INCONCLUSIVE, -8.8e-9, -1e-6, "u: close to zero", "", sufficient=True
     )
-    assert _format_condition_sentence(c) == "The condition is inconclusive: second order (u: close to zero)."
+    assert _describe_condition_result(c) == "The condition is inconclusive: second order (u: close to zero)."
     passed = dataclasses.replace(c, result=ConditionResult.PASS, value=-0.5, where="u")
     assert (
-        _format_condition_sentence(passed)
+        _describe_condition_result(passed)
         == "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
     )
 

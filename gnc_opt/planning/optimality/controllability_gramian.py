@@ -19,9 +19,9 @@ from gnc_opt.numerical_tolerances import (
     NEGLIGIBLE,
     RANK,
     ROUNDING,
-    replace_tiny_by_one,
-    replace_zeros_by_one,
-    zero_nonfinite,
+    replace_tiny_divisors_by_one,
+    replace_zero_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
@@ -81,7 +81,7 @@ class Ellipsoid:
     @property
     def nonzero_semi_axes(self) -> Array:
         """Principal semi-axes with 1 for states without displacement, for derivatives."""
-        radius = replace_zeros_by_one(self.radius)
+        radius = replace_zero_divisors_by_one(self.radius)
         return np.asarray(radius[:, None] * self.axes * self.shares)
 
 
@@ -126,9 +126,9 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
         integrands = [_differentiate_integrand(s, *at, i) for i in range(n_integrals)]
     if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
-        by_state = np.concatenate([by_state, zero_nonfinite(slopes[0])], axis=1)
+        by_state = np.concatenate([by_state, set_nonfinite_to_zero(slopes[0])], axis=1)
         by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
-        by_control = np.concatenate([by_control, zero_nonfinite(slopes[1])], axis=1)
+        by_control = np.concatenate([by_control, set_nonfinite_to_zero(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
     half = exponentiate_matrices(0.5 * widths[:, None, None] * by_state)
     pushes = s.segment_integrals(deviation)
@@ -175,7 +175,7 @@ def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Arr
     at = sample_trajectory_at_cell_centres(s)
     with np.errstate(all="ignore"):
         found = s.functions.state_jacobian(*at), s.functions.input_jacobian(*at)
-    by_state, by_control = (np.moveaxis(zero_nonfinite(jacobian), 2, 0) for jacobian in found)
+    by_state, by_control = (np.moveaxis(set_nonfinite_to_zero(jacobian), 2, 0) for jacobian in found)
     return np.diff(subdivide_mesh_segments(s.leg.breaks)), at, by_state, by_control
 
 
@@ -204,12 +204,12 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
 
     ``typical`` (n,) are magnitudes of the states; displacements far below them are rounding errors.
     """
-    size, moved = (np.max(np.abs(zero_nonfinite(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
+    size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
     if not s.has_duration:  # without motion, magnitudes are used
-        along = end = replace_tiny_by_one(size)
+        along = end = replace_tiny_divisors_by_one(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = initial = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
@@ -234,10 +234,10 @@ def _build_initial_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
-    size, moved = (np.max(np.abs(zero_nonfinite(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
+    size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
-    own = left * replace_zeros_by_one(size)
+    own = left * replace_zero_divisors_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():
         covariance = covariance + response @ found[name].end @ response.T
@@ -252,8 +252,8 @@ def differentiate_linked_initial_states(
     for k, s in enumerate(samples):
         phase = s.leg
         free = np.flatnonzero(~phase.initial_bounds.is_fixed)
-        size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
-        unit = replace_zeros_by_one(size)[free]
+        size = np.max(np.abs(set_nonfinite_to_zero(s.x)), axis=1)
+        unit = replace_zero_divisors_by_one(size)[free]
         own = jacobians[phase.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
         earlier = [other.leg.name for other in samples[:k]]

@@ -15,8 +15,8 @@ from gnc_opt.numerical_tolerances import (
     NOTABLE,
     TINY,
     max_norm,
-    replace_tiny_by_one,
-    zero_nonfinite,
+    replace_tiny_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -84,15 +84,15 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
                 at = [s.x.copy(), s.u.copy()]
                 at[k][i] += moved
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
-                spans = np.fmax(spans, NOTABLE * zero_nonfinite(change))
-    return zero_nonfinite(spans)
+                spans = np.fmax(spans, NOTABLE * set_nonfinite_to_zero(change))
+    return set_nonfinite_to_zero(spans)
 
 
 def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
     box = solution.need_problem("verify").get_parameter_bounds()
     extent = box.upper - box.lower
-    size = replace_tiny_by_one(np.abs(solution.parameter_values))
+    size = replace_tiny_divisors_by_one(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
 
 
@@ -117,14 +117,14 @@ BESIDE = 1.3
 def estimate_control_deviations(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
-    about = zero_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
-    size = np.max(np.abs(zero_nonfinite(u)), axis=1)
+    about = set_nonfinite_to_zero(np.abs(u - (u @ s.weights / lasts)[:, None]))
+    size = np.max(np.abs(set_nonfinite_to_zero(u)), axis=1)
     mean = about @ s.weights / lasts
     moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1))
-    bends = np.sqrt(zero_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
+    bends = np.sqrt(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
-    slope = np.abs(zero_nonfinite(s.switching_functions))
+    slope = np.abs(set_nonfinite_to_zero(s.switching_functions))
     pull = np.where(slope > 0, np.inf, 0.0)
     pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
     moves = moved > SPAN_MIN_SHARE * size
@@ -159,7 +159,7 @@ def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
     own, beside = (
         np.max(
-            np.abs(zero_nonfinite(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
+            np.abs(set_nonfinite_to_zero(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
             axis=(0, 2),
             initial=0.0,
         )
@@ -176,7 +176,7 @@ def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: M
     if not np.any(idle):
         return deviation
     lasts = max(float(np.sum(s.weights)), TINY)
-    bends = np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    bends = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)

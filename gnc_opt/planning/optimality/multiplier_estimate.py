@@ -20,7 +20,14 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
-from gnc_opt.numerical_tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
+from gnc_opt.numerical_tolerances import (
+    ACTIVE,
+    NEGLIGIBLE,
+    ROUNDING,
+    TINY,
+    max_norm,
+    replace_zero_divisors_by_one,
+)
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -142,7 +149,7 @@ def estimate_multipliers(
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
-    row_scales = 1 / replace_zeros_by_one(steepest)
+    row_scales = 1 / replace_zero_divisors_by_one(steepest)
     factor = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
     weights = scales / np.sqrt(compute_quadrature_weights(transcription)[0])
@@ -159,7 +166,7 @@ def estimate_multipliers(
     jumps = (
         scipy.sparse.diags_array(weights)
         @ gradients
-        @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
+        @ scipy.sparse.diags_array(1 / replace_zero_divisors_by_one(sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
     pushing = _ActiveSet(
@@ -240,7 +247,7 @@ class _CostateFit:
         unknowns = np.zeros(used.size)
         if part.size:
             sizes = np.linalg.norm(part, axis=0)
-            sizes = replace_zeros_by_one(sizes)
+            sizes = replace_zero_divisors_by_one(sizes)
             found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
             unknowns[used] = found / sizes
         return unknowns
@@ -384,7 +391,7 @@ def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Arr
     jacobian = np.moveaxis(
         np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
     )
-    size = replace_zeros_by_one(np.ptp(x, axis=1))
+    size = replace_zero_divisors_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
     found, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
@@ -399,7 +406,7 @@ def _estimate_variable_scales(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Return the variations of the variables along the trajectory, independent of origin and guess."""
-    scales = replace_zeros_by_one(np.abs(x))
+    scales = replace_zero_divisors_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
         for places, box in (

@@ -43,8 +43,8 @@ from gnc_opt.numerical_tolerances import (
     SMALL,
     TINY,
     max_norm,
-    replace_zeros_by_one,
-    zero_nonfinite,
+    replace_zero_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
@@ -226,19 +226,19 @@ def solve_quadratic_step_to_limit(excess: Array, first: Array, second: Array) ->
 
 def _compute_deviation_cost_by_control(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
-    first = np.abs(zero_nonfinite(s.switching_functions)) * deviation
-    second = 0.5 * np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
+    first = np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation
+    second = 0.5 * np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
 def _compute_deviation_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
-    bends = np.abs(zero_nonfinite(s.control_hessian))
-    first = np.sum(np.abs(zero_nonfinite(s.switching_functions)) * deviation, axis=0) @ s.weights
+    bends = np.abs(set_nonfinite_to_zero(s.control_hessian))
+    first = np.sum(np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
     slopes = (
-        np.abs(zero_nonfinite(s.cost_gradient)),
-        np.abs(zero_nonfinite(s.switching_functions - s.cost_gradient)),
+        np.abs(set_nonfinite_to_zero(s.cost_gradient)),
+        np.abs(set_nonfinite_to_zero(s.switching_functions - s.cost_gradient)),
     )
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
@@ -247,7 +247,7 @@ def _compute_deviation_cost_of_all_controls(s: PhaseSamples, deviation: Array) -
 
 def _compute_displacement_cost_at_limits(s: PhaseSamples, moved: Array) -> float:
     """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
-    forces = zero_nonfinite(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
+    forces = set_nonfinite_to_zero(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
     return float(moved @ np.abs(forces) @ s.weights)
 
 
@@ -265,7 +265,8 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (
-        zero_nonfinite(compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps
+        set_nonfinite_to_zero(compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1])
+        for step in steps
     )
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
@@ -310,7 +311,7 @@ def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array
         np.abs(solution.parameter_values),
         problem.get_parameter_bounds().width_or_zero,
     )
-    return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
+    return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
 
 
 def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
@@ -324,7 +325,7 @@ def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples:
             _differentiate_lagrangian(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
         ]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
-    return zero_nonfinite(bends)
+    return set_nonfinite_to_zero(bends)
 
 
 def _differentiate_lagrangian(
@@ -353,7 +354,7 @@ def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     for i in range(phase.integrals.size):
         alone = replace(s.functions, weights=np.eye(phase.integrals.size)[i])
         rows.append(alone.parameter_gradient(middles, x, u, np.zeros_like(x), mu))
-    return np.moveaxis(zero_nonfinite(np.stack(rows)), 2, 0)
+    return np.moveaxis(set_nonfinite_to_zero(np.stack(rows)), 2, 0)
 
 
 # --- ends -------------------------------------------------------------------------------------------------
@@ -467,7 +468,7 @@ class EndPoints:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
                 moves.append(
                     self._expand_displacements(
-                        {place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}
+                        {place: set_nonfinite_to_zero(rate) * step, place + 2: np.array([[step]])}
                     )
                 )
         return moves
@@ -499,4 +500,4 @@ class EndPoints:
             found = evaluate_casadi_batch(function, 1 + 2 * n, *rows, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + n], found[:, 1 + n :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
-        return zero_nonfinite(first), zero_nonfinite(second)
+        return set_nonfinite_to_zero(first), set_nonfinite_to_zero(second)

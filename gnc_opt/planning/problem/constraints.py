@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.model_variables import Variable, read_expression, read_vector
+from gnc_opt.model.model_variables import Variable, convert_to_sx_column, read_vector
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 
 
@@ -49,7 +49,7 @@ class Constraint:
 
 def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
     """Return a `Constraint`; raise an error for contradictory or missing limits. ``a <= b`` becomes ``a - b <= 0``."""
-    value = read_expression(expression, what, None, ProblemError)
+    value = convert_to_sx_column(expression, what, None, ProblemError)
     if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
         if not (lower is equals is upper is None):
             raise ProblemError(f"{what} is a comparison and has another limit: give one or the other.")

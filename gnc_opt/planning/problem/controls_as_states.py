@@ -20,7 +20,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.argument_checks import read_integer, read_variable_name
 from gnc_opt.errors import ProblemError, unknown_name_error
-from gnc_opt.model.model_variables import Symbol, Variable, read_expression
+from gnc_opt.model.model_variables import Symbol, Variable, convert_to_sx_column
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.model.symbolic_dynamics_model import Model
 
@@ -179,7 +179,7 @@ def _add_time_dependent_bound(phase: MutablePhase, name: str, end: str, limit: A
         bounded = model.symbol(composed.magnitude)
     else:
         bounded = model.symbol(name) if composed is None else model.output_expression(name)
-    value = read_expression(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
+    value = convert_to_sx_column(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
     if value.shape[0] not in (1, bounded.shape[0]):
         sizes = "1" if bounded.shape[0] == 1 else f"1 or {bounded.shape[0]}"
         raise ProblemError(f"{what} has {value.shape[0]} components: give {sizes}.")

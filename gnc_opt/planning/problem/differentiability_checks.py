@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_expression_nodes
+from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes, iterate_subexpressions
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
@@ -70,9 +70,9 @@ def warn_of_kinks(problem: ProblemData, phase: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not collect_operation_codes(stack_phase_expressions(phase)) & _KINKS.keys():
+    if not collect_casadi_operation_codes(stack_phase_expressions(phase)) & _KINKS.keys():
         return
-    looked_up = frozenset[int]().union(*(use.expression_node_hashes for use in uses))
+    looked_up = frozenset[int]().union(*(use.subexpression_hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_by_type(problem, phase, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
@@ -107,7 +107,7 @@ def _find_first_kink_by_type(
     reported: set[str] = set()
     for what, labels, stacked in _collect_phase_expressions(phase):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
-            for node in list_expression_nodes(expression):
+            for node in iterate_subexpressions(expression):
                 operation = node.op()
                 if operation not in _KINKS or node.element_hash() in looked_up:
                     continue

@@ -26,10 +26,10 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.casadi_expression_graph import JUMPS
 from gnc_opt.model.casadi_function_evaluation import (
     VectorizedFunction,
-    build_buffered_function,
+    build_single_point_evaluator,
     evaluate_casadi_function,
 )
-from gnc_opt.model.model_variables import read_expression
+from gnc_opt.model.model_variables import convert_to_sx_column
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import (
@@ -72,7 +72,7 @@ class PhaseFunctions:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return build_buffered_function(function, costates, multipliers, self.weights, self.p, self.q)
+        return build_single_point_evaluator(function, costates, multipliers, self.weights, self.p, self.q)
 
     def path_constraints(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
@@ -352,7 +352,7 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     selected = problem.get_phase(phase)
     if isinstance(expression, str):
         expression = selected.model.output_expression(expression)
-    value = read_expression(expression, "the expression to evaluate", None, ProblemError)
+    value = convert_to_sx_column(expression, "the expression to evaluate", None, ProblemError)
     value = value if selected.restatement is None else selected.restatement.express_in_solved_controls(value)
     problem.check_foreign_symbols(selected, value, "the expression to evaluate")
     function = build_phase_function(problem, selected, "evaluate", value)

@@ -17,9 +17,9 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_expression_graph import (
     JUMPS,
-    collect_operation_codes,
-    list_expression_nodes,
-    replace_nodes_by_hash,
+    collect_casadi_operation_codes,
+    iterate_subexpressions,
+    replace_subexpressions_by_hash,
 )
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.phase import Phase
@@ -188,7 +188,7 @@ class SymbolRanges:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
-        of_z = replace_nodes_by_hash(expression, place)
+        of_z = replace_subexpressions_by_hash(expression, place)
         boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
         within = SymbolRanges((*self.symbols, z), boxes)
         slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)
@@ -219,9 +219,9 @@ def is_affine(column: Any, symbol: Any) -> bool:
         return True
     if any(ca.which_depends(column, symbol, 2, True)):
         return False
-    if not collect_operation_codes(column) & {*JUMPS}:
+    if not collect_casadi_operation_codes(column) & {*JUMPS}:
         return True
-    jumps = (node for node in list_expression_nodes(column) if node.op() in JUMPS)
+    jumps = (node for node in iterate_subexpressions(column) if node.op() in JUMPS)
     return not any(ca.depends_on(node, symbol) for node in jumps)
 
 

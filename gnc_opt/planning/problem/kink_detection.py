@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Mask
-from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_expression_nodes
+from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes, iterate_subexpressions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.symbolic_expressions import (
@@ -48,7 +48,7 @@ class KinkFunctions:
 
 def has_kinks(expression: Any) -> bool:
     """Return whether an expression contains an operation with a jump or kink, which derivatives do not reveal."""
-    return bool(collect_operation_codes(expression) & _WORDS.keys())
+    return bool(collect_casadi_operation_codes(expression) & _WORDS.keys())
 
 
 def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctions | None:
@@ -60,10 +60,10 @@ def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctio
         if not has_kinks(expression):
             return None
         looked_up = frozenset[int]().union(
-            *(use.expression_node_hashes for use in list_table_calls(problem, phase))
+            *(use.subexpression_hashes for use in list_table_calls(problem, phase))
         )
         found: dict[int, tuple[str, Any]] = {}
-        for node in list_expression_nodes(expression):
+        for node in iterate_subexpressions(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
                 argument = _get_kink_argument(node, operation)
@@ -86,7 +86,7 @@ def build_comparison_function(problem: ProblemData, phase: Phase) -> Any:
     def collect_comparisons() -> Any:
         t, x, _, _ = phase.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in list_expression_nodes(stack_phase_expressions(phase)):
+        for node in iterate_subexpressions(stack_phase_expressions(phase)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]

@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, read_display_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name_error
-from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_nominal_magnitudes
+from gnc_opt.model.model_variables import (
+    Layout,
+    Symbol,
+    Variable,
+    convert_to_sx_column,
+    read_nominal_magnitudes,
+)
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
@@ -290,7 +296,7 @@ class Phase(StrictAttributes):
         what = f"integral '{label}' of {self.label}"
         if label in self.integrands:
             raise ProblemError(f"{self.label} has two integrals '{label}': rename one.")
-        value = read_expression(integrand, what, 1, ProblemError)
+        value = convert_to_sx_column(integrand, what, 1, ProblemError)
         self._owner.check_foreign_symbols(self, value, what)
         self._owner.require_mutable()
         symbol = Symbol(Variable(f"{self.name}_{label}"))
@@ -479,7 +485,7 @@ class Phase(StrictAttributes):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {
-            v.length_constraint_name: Interval(np.ones(1), np.ones(1))
+            v.direction_norm_constraint_name: Interval(np.ones(1), np.ones(1))
             for v in self.vector_controls
             if self.has_unit_direction(v)
         }
@@ -502,7 +508,7 @@ class Phase(StrictAttributes):
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
-        lengths = {v.length_constraint_name for v in self.vector_controls}
+        lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vector_controls(expression)
@@ -513,8 +519,8 @@ class Phase(StrictAttributes):
     def _add_direction_length_constraint(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
-        self.paths[vector.length_constraint_name] = make_constraint(
-            vector.length_constraint_name, square, None, 1.0, None, what
+        self.paths[vector.direction_norm_constraint_name] = make_constraint(
+            vector.direction_norm_constraint_name, square, None, 1.0, None, what
         )
 
     def _record_nonaffine_vector_controls(self, expression: Any) -> None:

@@ -23,7 +23,7 @@ from gnc_opt.argument_checks import (
 )
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote_value, unknown_name_error, warn_user
-from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_vector
+from gnc_opt.model.model_variables import Layout, Symbol, Variable, convert_to_sx_column, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
@@ -221,7 +221,7 @@ class Problem(ProblemData):
         for parameter in self.parameters.variables:
             check_parameter_size(parameter.name, parameter.size, model, self.name)
         model.derivative()
-        model.forbid_declarations(f"problem '{self.name}'")
+        model.forbid_further_declarations(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
         self.clear_cache()
         return self.phases[name]
@@ -580,7 +580,7 @@ class Problem(ProblemData):
         self.require_mutable()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
-        expression = read_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
+        expression = convert_to_sx_column(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         what = f"the cost of problem '{self.name}'"
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
         require_type(unit, str, f"the unit of {what}", 'write unit="kg"')

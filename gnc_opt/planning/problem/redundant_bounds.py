@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.casadi_expression_graph import collect_operation_codes
+from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
-from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, ROUNDING, zero_nonfinite
+from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
@@ -33,7 +33,7 @@ def relax_state_bounds(phase: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
     bounds, initial = phase.numbers.states, phase.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
-    room = LOOSE * np.max(zero_nonfinite(reach), axis=0)
+    room = LOOSE * np.max(set_nonfinite_to_zero(reach), axis=0)
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
@@ -206,7 +206,7 @@ def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval)
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.memoize(
-        ("operations", phase.name), lambda: collect_operation_codes(stack_phase_expressions(phase))
+        ("operations", phase.name), lambda: collect_casadi_operation_codes(stack_phase_expressions(phase))
     ):
         return turns
     probe = build_angle_invariance_test(problem, phase)

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.numerical_tolerances import ROUNDING, SMALL, replace_zeros_by_one, zero_nonfinite
+from gnc_opt.numerical_tolerances import ROUNDING, SMALL, replace_zero_divisors_by_one, set_nonfinite_to_zero
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
@@ -65,7 +65,7 @@ def _estimate_state_changes(phase: Phase, start: SampledGuess, magnitudes: Array
         f = evaluate_casadi_function(
             phase.model.function, times, start.states, controls, phase.model.parameter_values
         )
-        rates.append(np.max(np.abs(zero_nonfinite(f)), axis=1))
+        rates.append(np.max(np.abs(set_nonfinite_to_zero(f)), axis=1))
     together, alone = np.max(rates, axis=0), _estimate_state_rate_changes(phase, start, times, magnitudes)
     # Below this share the effects of several controls at their bounds cancel.
     rate = np.where(together > SMALL * alone, together, alone)
@@ -83,7 +83,7 @@ def _estimate_state_rate_changes(phase: Phase, start: SampledGuess, times: Array
         moved,
         phase.model.parameter_values,
     )
-    f = zero_nonfinite(f).reshape(len(f), count + 1, times.size)
+    f = set_nonfinite_to_zero(f).reshape(len(f), count + 1, times.size)
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
@@ -94,7 +94,7 @@ def choose_typical_magnitudes(interval: Interval, reach: Array) -> Array:
         np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
     )
     scales = np.where(bounded & (limits > 0), limits, reach)
-    return replace_zeros_by_one(scales)
+    return replace_zero_divisors_by_one(scales)
 
 
 def _overwrite_scales_by_user_input(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:

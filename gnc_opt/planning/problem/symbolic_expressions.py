@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_model_symbol
-from gnc_opt.model.casadi_expression_graph import list_expression_nodes
+from gnc_opt.model.casadi_expression_graph import iterate_subexpressions
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model_variables import Layout, find_declared_symbols, find_unknown_symbols
@@ -71,8 +71,8 @@ def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
 
 def _find_table_calls(expression: Any) -> tuple[TableCall, ...]:
     known = [use for s in find_declared_symbols(ca.symvar(expression)) for use in s.table_calls]
-    present = {node.element_hash() for node in list_expression_nodes(expression)} if known else set()
-    return tuple({id(use): use for use in known if use.expression_node_hashes & present}.values())
+    present = {node.element_hash() for node in iterate_subexpressions(expression)} if known else set()
+    return tuple({id(use): use for use in known if use.subexpression_hashes & present}.values())
 
 
 def find_points_outside_tables(

@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
-from gnc_opt.numerical_tolerances import ROUNDING, replace_tiny_by_one
+from gnc_opt.numerical_tolerances import ROUNDING, replace_tiny_divisors_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -129,7 +129,7 @@ def _integrate_between_control_jumps(
 def compute_state_magnitudes(phase: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(phase.x(phase.sample_times())), axis=1)
-    return replace_tiny_by_one(take_largest_component(largest, phase.states))
+    return replace_tiny_divisors_by_one(take_largest_component(largest, phase.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:

@@ -333,7 +333,9 @@ def _evaluate_composed_control(
     control: ComposedControl, layout: Layout, source: SignalSource, t: ArrayLike, side: Side
 ) -> Array:
     values = source(t, side)
-    return np.asarray(control.compose_control(*(values[layout.slice(part)] for part in control.parts)))
+    return np.asarray(
+        control.compose_control_from_parts(*(values[layout.slice(part)] for part in control.parts))
+    )
 
 
 def _evaluate_wrapped_angles(turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side) -> Array:

@@ -16,8 +16,8 @@ from gnc_opt.numerical_tolerances import (
     NOTABLE,
     SHORTEST,
     TINY,
-    replace_tiny_by_one,
-    zero_nonfinite,
+    replace_tiny_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
@@ -165,9 +165,9 @@ class PhaseSamples:
         vectors = self.leg.vector_controls
         rows = {label: row for row, label in enumerate(self.leg.path_labels)}
         norms = {
-            i: rows[vector.length_constraint_name]
+            i: rows[vector.direction_norm_constraint_name]
             for vector in vectors
-            if vector.length_constraint_name in rows
+            if vector.direction_norm_constraint_name in rows
             for i in layout.indices(vector.direction)
         }
         idle = mask_inactive_controls(
@@ -310,7 +310,7 @@ class PhaseSamples:
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1)
-        return np.where(np.isfinite(span) & (span > 0), span, replace_tiny_by_one(reach))
+        return np.where(np.isfinite(span) & (span > 0), span, replace_tiny_divisors_by_one(reach))
 
     @cached_property
     def cost_scale(self) -> float:
@@ -441,4 +441,4 @@ def choose_segment_sample_points(degree: int) -> tuple[Array, Array]:
 
 
 def _compute_largest_finite_value(values: Array) -> Array:
-    return np.asarray(np.max(zero_nonfinite(values), axis=1, initial=0.0))
+    return np.asarray(np.max(set_nonfinite_to_zero(values), axis=1, initial=0.0))

@@ -30,7 +30,7 @@ from operator import itemgetter
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, ROUNDING, zero_nonfinite
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
@@ -124,9 +124,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    slope = zero_nonfinite(s.functions.control_gradient(*at))
+    slope = set_nonfinite_to_zero(s.functions.control_gradient(*at))
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
-    curvature = zero_nonfinite(curvature)
+    curvature = set_nonfinite_to_zero(curvature)
     bounds = s.leg.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
@@ -269,7 +269,7 @@ def _find_limit_violation(
     with np.errstate(invalid="ignore"):
         excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
     excess = np.where(np.isfinite(values), excess, -np.inf)
-    limits = np.minimum(*(np.abs(zero_nonfinite(b)) for b in (box.lower, box.upper)))
+    limits = np.minimum(*(np.abs(set_nonfinite_to_zero(b)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
     tau = np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)

@@ -23,8 +23,8 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
     ROUNDING,
-    replace_tiny_by_one,
-    zero_nonfinite,
+    replace_tiny_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
@@ -86,7 +86,7 @@ def compute_state_scales(
     size = np.max(np.abs(values), axis=1)
     moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return replace_tiny_by_one(take_largest_component(size, phase.states))
+        return replace_tiny_divisors_by_one(take_largest_component(size, phase.states))
     movable = take_largest_component(_estimate_reachable_changes(phase, functions, used), phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
@@ -122,7 +122,9 @@ def compute_control_scales(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = take_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
-    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), replace_tiny_by_one(size))
+    return _replace_zeros_by_fallbacks(
+        np.where(spans > ROUNDING, spans, extent), replace_tiny_divisors_by_one(size)
+    )
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
@@ -134,7 +136,7 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
     lasts = phase.breaks[-1] - phase.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
-    least = zero_nonfinite(least)
+    least = set_nonfinite_to_zero(least)
     for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
         changed = np.max(
@@ -175,7 +177,7 @@ def _compute_mean_control_effects(phase: PhaseSolution, used: Array) -> Array:
 
 def take_largest_component(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
-    values = zero_nonfinite(values)  # copy
+    values = set_nonfinite_to_zero(values)  # copy
     for variable in layout.variables:
         rows = layout.slice(variable.name)
         values[rows] = np.max(values[rows], initial=0.0)

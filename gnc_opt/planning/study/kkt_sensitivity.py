@@ -39,8 +39,8 @@ from gnc_opt.numerical_tolerances import (
     SMALL,
     TINY,
     max_norm,
-    replace_zeros_by_one,
-    zero_nonfinite,
+    replace_zero_divisors_by_one,
+    set_nonfinite_to_zero,
 )
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
@@ -128,7 +128,7 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
 
     def subtract_finite_entries(before: Array, after: Array) -> Array:
         with np.errstate(invalid="ignore"):  # inf - inf
-            return zero_nonfinite(after - before)
+            return set_nonfinite_to_zero(after - before)
 
     here, there = transcription.get_variable_bounds(old), transcription.get_variable_bounds(new)
     rows, new_rows = transcription.get_constraint_bounds(old), transcription.get_constraint_bounds(new)
@@ -393,7 +393,7 @@ def _equilibrate_rows(matrix: Any) -> Array:
     for _ in range(4):
         norms = np.zeros(scale.size)
         np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
-        scale = scale / np.sqrt(replace_zeros_by_one(norms))
+        scale = scale / np.sqrt(replace_zero_divisors_by_one(norms))
     return scale
 
 

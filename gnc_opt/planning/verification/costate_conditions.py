@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.optimality.active_state_constraints import (
     explain_costate_gap,
     explain_costate_jumps,
@@ -194,7 +194,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
     times = np.array([phase.initial_time, phase.final_time])
     reach = box.upper - box.lower
-    span = np.maximum(s.span, zero_nonfinite(reach))
+    span = np.maximum(s.span, set_nonfinite_to_zero(reach))
     # Multipliers exist only for times that are variables.
     mismatch = np.where(phase.time_multipliers != 0, np.abs(phase.time_multipliers - gaps), 0.0)
     violation = (

@@ -43,7 +43,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
         rows = {
             s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
         }
-        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length_constraint_name}:
+        if curved <= across | {(j, i) for i, j in across} and rows == {vector.direction_norm_constraint_name}:
             return vector
     return None
 
@@ -81,7 +81,7 @@ def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSam
             size = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
             scale = s.control_scale[s.leg.controls.slice(vector.magnitude)][0]
             idle = strong[magnitude[0]] & (size <= AT_LIMIT * scale)
-            length = collocation.path_rows[s.leg.path_labels.index(vector.length_constraint_name)]
+            length = collocation.path_rows[s.leg.path_labels.index(vector.direction_norm_constraint_name)]
             strong[direction[:, idle]] = True
             strong[cone.point.x.size + length[idle]] = False
     return replace(cone, strong=strong)

@@ -415,7 +415,9 @@ def _split_vector_controls(phase: Phase, u: Values, n_times: int) -> Values:
     for control in phase.model.composed_controls.values():
         if control.name in found:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {phase.label}"
-            parts = control.decompose_control(_read_finite_array(found.pop(control.name), shape, what))
+            parts = control.decompose_control_into_parts(
+                _read_finite_array(found.pop(control.name), shape, what)
+            )
             if isinstance(control, VectorControl):
                 parts = parts[0], _fill_directions_of_zero_vectors(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)

@@ -13,7 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm, replace_zeros_by_one
+from gnc_opt.numerical_tolerances import (
+    ROUNDING,
+    SHORTEST,
+    SMALL,
+    TINY,
+    max_norm,
+    replace_zero_divisors_by_one,
+)
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
@@ -366,7 +373,7 @@ def _find_interval_violation(
 ) -> Worst:
     excess = interval.compute_bound_violation(values)
     scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
-    violation = excess / replace_zeros_by_one(scale)
+    violation = excess / replace_zero_divisors_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):
         return NOTHING

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
-from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, zero_nonfinite
+from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, set_nonfinite_to_zero
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_violation_over_time
 from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -189,7 +189,7 @@ class _MinimumSearch:
             ]
             * self._control_search_box[1]
         )
-        return zero_nonfinite(np.moveaxis(jacobian, 2, 0))
+        return set_nonfinite_to_zero(np.moveaxis(jacobian, 2, 0))
 
     def evaluate_gradient_and_hessian(
         self, shares: Array, at: Indices, mu: Array | None = None
@@ -201,7 +201,7 @@ class _MinimumSearch:
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
-        return zero_nonfinite(gradient), zero_nonfinite(bends)
+        return set_nonfinite_to_zero(gradient), set_nonfinite_to_zero(bends)
 
     @cached_property
     def has_unique_minimum(self) -> bool:
@@ -331,7 +331,9 @@ class _MinimumSearch:
             pairs = direction[:, None] * direction
             curved = 0.5 * np.tensordot(bends, pairs, axes=([0, 1], [0, 1]))
         change = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
-        return np.asarray(np.maximum(np.max(zero_nonfinite(change), axis=0), CHEAP_CURVED * self.cost_rate))
+        return np.asarray(
+            np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CHEAP_CURVED * self.cost_rate)
+        )
 
     def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""

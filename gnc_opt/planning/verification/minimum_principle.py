@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, zero_nonfinite
+from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, set_nonfinite_to_zero
 from gnc_opt.planning.optimality.active_state_constraints import (
     compute_free_control_directions,
     mask_singular_controls,
@@ -158,7 +158,7 @@ def _search_hamiltonian_decreases(
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _compute_separable_hamiltonian_decrease(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _sample_separable_controls(s), s.lam)
-    gain = np.fmax(apart, zero_nonfinite(elsewhere))
+    gain = np.fmax(apart, set_nonfinite_to_zero(elsewhere))
     others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
     for other in others:

@@ -27,7 +27,14 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
+from gnc_opt.numerical_tolerances import (
+    MINOR,
+    NEGLIGIBLE,
+    RANK,
+    ROUNDING,
+    max_norm,
+    replace_zero_divisors_by_one,
+)
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
     remove_short_intervals_from_mask,
@@ -134,7 +141,7 @@ def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mas
 def _has_full_column_rank(matrix: Array) -> bool:
     for axis in (1, 0):
         sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
-        matrix = matrix / replace_zeros_by_one(sizes)
+        matrix = matrix / replace_zero_divisors_by_one(sizes)
     if matrix.shape[0] < matrix.shape[1]:
         return False
     return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
@@ -262,7 +269,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
     amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_largest_changes()[:-1]
     return np.asarray(
         (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms))
-        / replace_zeros_by_one(amounts)
+        / replace_zero_divisors_by_one(amounts)
     )
 
 

@@ -98,7 +98,7 @@ def test_a_far_limit_does_not_widen_the_axis() -> None:
         axes = Figure().subplots()
         axes.plot([0.0, 0.0, 2.0], [0.0, 0.5, 1.0])
         before = axes.get_xlim()
-        campaign_plots._draw_measure_limit(axes, limit, "m", np.array([0.0, 0.0, 2.0]))
+        campaign_plots._draw_limit_of_performance_measure(axes, limit, "m", np.array([0.0, 0.0, 2.0]))
         assert (axes.get_xlim() == before) is kept
 
 

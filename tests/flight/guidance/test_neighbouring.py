@@ -46,7 +46,7 @@ def test_an_arc_of_moving_dynamics():
     t, x, y, u = model.time, model.state("x"), model.state("y"), model.control("u")
     model.ode({x: t**3 * u, y: x})
     plan = SimpleNamespace(times=np.zeros(1), reference=SimpleNamespace(model=model))
-    arc = PlanPrediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc_propagation_function
+    arc = PlanPrediction(plan, RegulatedEnd(0.0, 0.0), 40)._constant_control_propagation_function
     for begin, length in ((0.5, 1.5), (2.0, -1.5)):
         end = begin + length
         speed = 1 + 2 * (end**4 - begin**4) / 4

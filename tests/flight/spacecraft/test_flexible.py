@@ -6,7 +6,7 @@ import pytest
 from testing.flows import flow
 
 from gnc_opt.errors import ModelError
-from gnc_opt.model.casadi_function_evaluation import build_buffered_function
+from gnc_opt.model.casadi_function_evaluation import build_single_point_evaluator
 from gnc_opt.spacecraft import FlexibleBody, quaternion_rate
 
 COUPLING = [
@@ -27,7 +27,7 @@ def rate(body, torque=(0.0, 0.0, 0.0)):
     y = ca.SX.sym("y", 15)
     turning, bending = body.accelerations(y[:3], y[3:7], y[7:11], ca.DM(torque))
     f = ca.Function("f", [y], [ca.vertcat(turning, y[7:11], bending, quaternion_rate(y[11:], y[:3]))])
-    evaluate = build_buffered_function(f)
+    evaluate = build_single_point_evaluator(f)
     return lambda _, value: evaluate(value)
 
 

@@ -75,7 +75,7 @@ def test_a_control_that_limits_the_norm_becomes_the_magnitude(limit: Any, kind: 
     leg = leg_of(limit, kind)
     (vector,) = leg.vector_controls
     assert vector.magnitude == "d"
-    assert list(leg.paths) == [vector.length_constraint_name]
+    assert list(leg.paths) == [vector.direction_norm_constraint_name]
     assert not leg.has_unit_direction(vector)
     place = leg.model.controls.slice("d")
     assert (leg.numbers.controls.lower[place], leg.numbers.controls.upper[place]) == (0.0, 1.0)
@@ -89,7 +89,7 @@ def test_limits_of_a_norm_become_those_of_the_magnitude(limit: Any, kind: str) -
     place = leg.model.controls.slice(vector.magnitude)
     assert leg.numbers.controls.lower[place] == pytest.approx(2.0, rel=1e-15)
     assert leg.numbers.controls.upper[place] == pytest.approx(4.0, rel=1e-15)
-    assert list(leg.paths) == [vector.length_constraint_name]
+    assert list(leg.paths) == [vector.direction_norm_constraint_name]
     assert leg.has_unit_direction(vector)  # a hole
 
 
@@ -130,7 +130,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
 
     def values(leg: Any, controls: dict[str, Any]) -> np.ndarray:
         _, x, u, _ = leg.model.arguments()
-        lengths = {v.length_constraint_name for v in leg.vector_controls}
+        lengths = {v.direction_norm_constraint_name for v in leg.vector_controls}
         rows = [c.expression for name, c in leg.paths.items() if name not in lengths]
         function = ca.Function(
             "all", [x, u], [ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *rows)]
@@ -153,7 +153,7 @@ def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> 
 
     leg = leg_of(limit, "scalars")
     (vector,) = leg.vector_controls
-    assert set(leg.paths) == {"bounds of T_x", "bounds of T_y", vector.length_constraint_name}
+    assert set(leg.paths) == {"bounds of T_x", "bounds of T_y", vector.direction_norm_constraint_name}
     box = leg.paths["bounds of T_x"].interval
     assert (box.lower[0], box.upper[0]) == (-np.inf, 0.5)
     assert not ca.depends_on(leg.paths["bounds of T_y"].expression, leg.model.symbol("d"))

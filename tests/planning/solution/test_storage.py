@@ -371,7 +371,7 @@ def test_stored_classes_belong_to_this_version() -> None:
     """A change here changes what is in the files: raise SOLUTION_FILES.version, then adapt this list."""
     packing = SOLUTION_FILES.packing
     known = {
-        kind.__name__: " ".join(packing.list_archived_fields(kind))
+        kind.__name__: " ".join(packing.list_saved_dataclass_fields(kind))
         for kind in packing.classes
         if dataclasses.is_dataclass(kind)
     }

@@ -16,7 +16,7 @@ from testing.given_scales import given_scales
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zeros_by_one
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zero_divisors_by_one
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
@@ -501,7 +501,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
 
 
 def test_ones_take_the_place_of_nothing() -> None:
-    np.testing.assert_array_equal(replace_zeros_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+    np.testing.assert_array_equal(replace_zero_divisors_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

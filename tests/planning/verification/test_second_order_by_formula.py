@@ -392,8 +392,8 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
 def test_vector_controls_in_which_h_is_affine() -> None:
     """Controls f, s, n1, n2 and again s', n': H is affine in s (n1, n2), and only the length of n is limited."""
     places = {"s": slice(1, 2), "n": slice(2, 4), "r": slice(4, 5), "m": slice(5, 6)}
-    first = fake(parts=("r", "m"), length_constraint_name="length of m")
-    second = fake(parts=("s", "n"), length_constraint_name="length of n")
+    first = fake(parts=("r", "m"), direction_norm_constraint_name="length of m")
+    second = fake(parts=("s", "n"), direction_norm_constraint_name="length of n")
     pattern = ca.DM(6, 6)
     for i, j in ((1, 2), (2, 1), (1, 3), (3, 1), (0, 5), (4, 4)):
         pattern[i, j] = 1

@@ -17,8 +17,8 @@ from gnc_opt.argument_checks import (
 )
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name_error
-from gnc_opt.model.casadi_function_evaluation import build_buffered_function
-from gnc_opt.model.model_variables import read_expression, read_vector
+from gnc_opt.model.casadi_function_evaluation import build_single_point_evaluator
+from gnc_opt.model.model_variables import convert_to_sx_column, read_vector
 from gnc_opt.model.ode_integration import (
     CallLimit,
     Integration,
@@ -28,7 +28,7 @@ from gnc_opt.model.ode_integration import (
     Tolerance,
     integrate_ode,
 )
-from gnc_opt.numerical_tolerances import replace_tiny_by_one
+from gnc_opt.numerical_tolerances import replace_tiny_divisors_by_one
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     guess_boundary_states,
@@ -127,7 +127,7 @@ def guess_from_simulation(
     law = _build_clipped_control_law(problem, selected, controls)
     q = problem.get_parameter_guess()
     p, start = selected.model.parameter_values, _read_initial_state(selected, initial)
-    fast = build_buffered_function(
+    fast = build_single_point_evaluator(
         build_phase_function(problem, selected, "rates", selected.model.derivative()), p, q
     )
 
@@ -135,7 +135,9 @@ def guess_from_simulation(
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_stop_event(problem, selected, until)
-    sizes = replace_tiny_by_one(np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1])))
+    sizes = replace_tiny_divisors_by_one(
+        np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1]))
+    )
     try:
         simulated = _integrate_guess(evaluate_rates, start, (t0, tf), sizes, selected, stop)
     except OdeError as error:
@@ -206,7 +208,7 @@ def _build_clipped_control_law(
             continue
         if not isinstance(value, (ca.SX, list)):
             value = ca.SX(read_vector(value, sizes[name], what))
-        expressions[name] = read_expression(value, what, sizes[name], ProblemError)
+        expressions[name] = convert_to_sx_column(value, what, sizes[name], ProblemError)
     stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
     function = _compile_expression(problem, phase, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
@@ -225,7 +227,7 @@ def _build_clipped_control_law(
 
 def _build_stop_event(problem: Problem, phase: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "the until= expression of guess_from_simulation()"
-    function = _compile_expression(problem, phase, read_expression(until, what, 1, ProblemError), what)
+    function = _compile_expression(problem, phase, convert_to_sx_column(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 
 
@@ -240,4 +242,4 @@ def _compile_expression(
     function = ca.Function(
         "law", [t, x, p, q], [ca.densify(problem.substitute_parameters(phase, expression))]
     )
-    return build_buffered_function(function, phase.model.parameter_values, problem.get_parameter_guess())
+    return build_single_point_evaluator(function, phase.model.parameter_values, problem.get_parameter_guess())

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.casadi_expression_graph import replace_nodes_by_hash
+from gnc_opt.model.casadi_expression_graph import replace_subexpressions_by_hash
 from gnc_opt.model.model_variables import Symbol
 from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl
 from gnc_opt.numerical_tolerances import EQUAL
@@ -183,7 +183,7 @@ class SplitControls(ReformulatedPhase):
             split, difference = SplitControl(v, parts, corners if any(corners) else ()), plus - minus
             splits.append((split, difference + ca.DM(corners)))
             controls += [plus, minus]
-            values += split.decompose_control_symbol(symbol)
+            values += split.decompose_symbolic_control(symbol)
             beyond |= dict(zip(places, ca.vertsplit(plus), strict=True))
             pairs = zip(ca.vertsplit(symbol), ca.vertsplit(splits[-1][1]), strict=True)
             instead |= {element.element_hash(): value for element, value in pairs}
@@ -191,10 +191,10 @@ class SplitControls(ReformulatedPhase):
         def replace_kinks(name: str, expression: Any) -> Any:
             own = bends.at.get(name, ())
             known = {b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in own}
-            return replace_nodes_by_hash(replace_nodes_by_hash(expression, known), instead)
+            return replace_subexpressions_by_hash(replace_subexpressions_by_hash(expression, known), instead)
 
         def substitute_parts(expression: Any) -> Any:
-            return replace_nodes_by_hash(expression, instead)
+            return replace_subexpressions_by_hash(expression, instead)
 
         model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_parts)
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
@@ -213,7 +213,9 @@ class SplitControls(ReformulatedPhase):
         boxes = split_bounds_by_name(old.controls, phase.model.controls)
         for control in self.controls:
             box, (plus, minus) = boxes[control.name], control.parts
-            lower, upper = (control.decompose_control(end[:, None]) for end in (box.lower, box.upper))
+            lower, upper = (
+                control.decompose_control_into_parts(end[:, None]) for end in (box.lower, box.upper)
+            )
             boxes[plus] = Interval(lower[0][:, 0], upper[0][:, 0])
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.casadi_expression_graph import (
-    collect_operation_codes,
-    list_expression_nodes,
-    replace_nodes_by_hash,
+    collect_casadi_operation_codes,
+    iterate_subexpressions,
+    replace_subexpressions_by_hash,
 )
 from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.numerical_tolerances import EQUAL
@@ -50,7 +50,7 @@ def find_integrand_kinks(
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
     _, x, u, _ = phase.model.arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
-    ignored, found = frozenset[int]().union(*(use.expression_node_hashes for use in tables)), {}
+    ignored, found = frozenset[int]().union(*(use.subexpression_hashes for use in tables)), {}
     wanted = find_integral_cost_signs(problem, phase)
     for name, (_, integrand) in phase.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
@@ -74,7 +74,7 @@ def find_convex_kinks(
 def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
     """Return whether an expression has a zero or infinite slope where two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
-    of_z = replace_nodes_by_hash(expression, {kink.node.element_hash(): z})
+    of_z = replace_subexpressions_by_hash(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
     for first, second in combinations(kink.pieces, 2):
         symbol = next((s for s in ca.symvar(second - first) if is_affine(second - first, s)), None)
@@ -119,7 +119,7 @@ Pieces: TypeAlias = list[Any]
 
 def is_free_of_kinks(expression: Any) -> bool:
     """Return whether an expression contains no operation of `KINKED`."""
-    return not any(node.op() in KINKED for node in list_expression_nodes(expression))
+    return not any(node.op() in KINKED for node in iterate_subexpressions(expression))
 
 
 def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: SymbolRanges) -> list[Any]:
@@ -162,7 +162,11 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     """
     nodes = find_outermost_kinks(expression, frozenset(), domain)
     places, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
-    of_z = replace_nodes_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True))) if nodes else z
+    of_z = (
+        replace_subexpressions_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True)))
+        if nodes
+        else z
+    )
     if not nodes or not is_affine(of_z, z):
         return None
     extrema = [_read_extremum_terms(node, domain) for node in nodes]
@@ -170,7 +174,10 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
-    return [replace_nodes_by_hash(expression, dict(zip(places, chosen, strict=True))) for chosen in choices]
+    return [
+        replace_subexpressions_by_hash(expression, dict(zip(places, chosen, strict=True)))
+        for chosen in choices
+    ]
 
 
 def _read_extremum_terms(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
@@ -216,7 +223,9 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.memoize(("operations", "ends"), lambda: collect_operation_codes(ends)))
+    return bool(
+        {*KINKED} & problem.memoize(("operations", "ends"), lambda: collect_casadi_operation_codes(ends))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +256,9 @@ class EndpointEpigraph:
         cause = "a kink of the cost is replaced by parameter"
         texts = [f"{cause} {name}, bounded by its pieces" for name in parameters]
         texts += [f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()]
-        return cls(replace_nodes_by_hash(problem.cost, instead), constraints, parameters, tuple(texts))
+        return cls(
+            replace_subexpressions_by_hash(problem.cost, instead), constraints, parameters, tuple(texts)
+        )
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -348,13 +359,13 @@ class Epigraph(ReformulatedPhase):
                     texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
-            integrands[name] = (symbol, replace_nodes_by_hash(integrand, value))
+            integrands[name] = (symbol, replace_subexpressions_by_hash(integrand, value))
         texts += [f"'{n}' is replaced by {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
         values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
         controls = [*(old.symbol(name) for name in old.controls.names), *symbols.values()]
         return cls(
-            old.in_controls(controls, [], lambda expression: expression),
+            old.express_in_other_controls(controls, [], lambda expression: expression),
             paths,
             integrands,
             ControlMap(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gnc_opt.model.casadi_expression_graph import collect_operation_codes
+from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -93,7 +93,9 @@ def _reformulate_kinks_of_kind(
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
     place = ("operations", *key)
-    operations = problem.memoize(place, lambda: collect_operation_codes(stack_phase_expressions(phase)))
+    operations = problem.memoize(
+        place, lambda: collect_casadi_operation_codes(stack_phase_expressions(phase))
+    )
     if not operations & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, phase)

@@ -42,13 +42,13 @@ def substitute_controls_in_phase(
 ) -> tuple[Model, dict[str, Constraint], dict[str, tuple[Any, Any]]]:
     """Return model, path constraints (except ``without``) and integrands of a phase in other controls.
 
-    See `Model.in_controls`; limits of the lengths of directions are kept.
+    See `Model.express_in_other_controls`; limits of the lengths of directions are kept.
     """
-    lengths = {v.length_constraint_name for v in phase.vector_controls}
+    lengths = {v.direction_norm_constraint_name for v in phase.vector_controls}
     paths = {name: c for name, c in phase.paths.items() if name != without}
     paths |= {n: replace(c, expression=express(c.expression)) for n, c in paths.items() if n not in lengths}
     integrands = {name: (symbol, express(e)) for name, (symbol, e) in phase.integrands.items()}
-    return phase.model.in_controls(controls, composed, express), paths, integrands
+    return phase.model.express_in_other_controls(controls, composed, express), paths, integrands
 
 
 @dataclass(frozen=True, eq=False)

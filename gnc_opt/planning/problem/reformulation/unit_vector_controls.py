@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.casadi_expression_graph import replace_nodes_by_hash
+from gnc_opt.model.casadi_expression_graph import replace_subexpressions_by_hash
 from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.model.split_and_magnitude_direction_controls import UnitVectorControl, VectorControl
 from gnc_opt.numerical_tolerances import EQUAL
@@ -62,7 +62,7 @@ class UnitVectorSubstitution(ReformulatedPhase):
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
         def substitute_unit_vector(expression: Any) -> Any:
-            return replace_nodes_by_hash(expression, instead)
+            return replace_subexpressions_by_hash(expression, instead)
 
         controls = [direction if other == name else old.symbol(other) for other in old.controls.names]
         composed = [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)]

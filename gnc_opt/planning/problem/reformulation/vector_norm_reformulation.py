@@ -17,8 +17,8 @@ import numpy as np
 from gnc_opt.model.casadi_expression_graph import (
     ROOTS,
     NormNodes,
-    list_expression_nodes,
-    replace_nodes_by_function,
+    iterate_subexpressions,
+    replace_subexpressions,
 )
 from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.model.split_and_magnitude_direction_controls import (
@@ -68,7 +68,7 @@ def index_control_symbols(phase: Phase) -> dict[int, int]:
 def _find_vectors_in_norms(phase: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
     stated, controls = index_control_symbols(phase), phase.model.controls
-    for node in list_expression_nodes(stack_phase_expressions(phase)):
+    for node in iterate_subexpressions(stack_phase_expressions(phase)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(name for name in controls.names if places & {*controls.indices(name)})
@@ -107,7 +107,7 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
 
 def _list_scalar_path_constraints(phase: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length_constraint_name for v in phase.vector_controls}
+    lengths = {v.direction_norm_constraint_name for v in phase.vector_controls}
     for name, c in phase.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
             yield label, c.expression[i], c.interval.select_components([i])
@@ -145,18 +145,20 @@ def remove_norm_roots(phase: Phase) -> dict[str, Constraint]:
 
 def _remove_square_root(row: Any, limits: Interval) -> Any | None:
     """Return a row with an upper limit on a function of one root in the form without the root; else None."""
-    root = next((node for node in list_expression_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
+    root = next(
+        (node for node in iterate_subexpressions(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None
+    )
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
-    of_size = replace_nodes_by_function(row, lambda node: size if node.element_hash() == place else None)
+    of_size = replace_subexpressions(row, lambda node: size if node.element_hash() == place else None)
     found, symbols = read_norm_limits(of_size, size, limits), ca.vertcat(*ca.symvar(root))
     at_origin = ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or float(at_origin) != 0:
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
-    return replace_nodes_by_function(row, lambda node: tangent if node.element_hash() == place else None)
+    return replace_subexpressions(row, lambda node: tangent if node.element_hash() == place else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +196,7 @@ class NormSubstitution(ReformulatedPhase):
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
         paths, on_sphere = _reformulate_path_constraints(found.kept, substitute_norm, magnitude)
-        lengths = [v.length_constraint_name for v in phase.vector_controls]
+        lengths = [v.direction_norm_constraint_name for v in phase.vector_controls]
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -209,7 +211,7 @@ class NormSubstitution(ReformulatedPhase):
         if found.labels:
             text += f", whose magnitude {' and '.join(map(repr, found.labels))} limit{'s' * (len(found.labels) == 1)}"
         return cls(
-            old.in_controls(
+            old.express_in_other_controls(
                 controls, _build_composed_vector_controls(old, names, control, product), substitute_norm
             ),
             paths | {label: phase.paths[label] for label in lengths},

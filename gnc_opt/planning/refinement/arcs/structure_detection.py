@@ -216,7 +216,7 @@ def _find_mixed_constraint_effects(
     directions.
     """
     phase, depends = samples.leg, np.any(slopes != 0, axis=2)
-    lengths = [v.length_constraint_name for v in phase.vector_controls]
+    lengths = [v.direction_norm_constraint_name for v in phase.vector_controls]
     inequality = (phase.path_bounds.lower < phase.path_bounds.upper) & ~np.isin(phase.path_labels, lengths)
     depends &= (inequality & ~np.any(depends & ~regular, axis=1))[:, None]
     signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
