@@ -103,7 +103,7 @@ class Resolver:
         require_type(problem, Problem, "the argument of Resolver.solve()", hint)
         within, moved = clip_initial_states_to_bounds(problem)
         if moved:
-            return _add_provenance_note(self.solve(within, near=near), MOVED_START, moved)
+            return _record_solution_provenance(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, reformulate_problem(problem)
         if not stated.has_same_expressions_as(self._problem):
             raise ProblemError(
@@ -253,7 +253,7 @@ def solve(
                 problem, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
                 options=options, limits=limits, progress=progress, throw=throw,
             )  # fmt: skip
-            return _add_provenance_note(found, MOVED_START, moved)
+            return _record_solution_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     require_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -303,10 +303,10 @@ def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
 
 
 def record_solve_method(solution: Solution, way: SolveMethod) -> Solution:
-    return _add_provenance_note(solution, "way", way.value)
+    return _record_solution_provenance(solution, "way", way.value)
 
 
-def _add_provenance_note(solution: Solution, key: str, text: str) -> Solution:
+def _record_solution_provenance(solution: Solution, key: str, text: str) -> Solution:
     noted = replace(solution, provenance={**solution.provenance, key: text})
     return noted.with_verdict(solution.verdict)
 

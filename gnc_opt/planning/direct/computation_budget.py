@@ -72,11 +72,11 @@ def compute_refinement_work(solution: Solution) -> float:
     """Return the work of the refinement that led to a solution, s of the reference processor; 0 without one."""
     passes = () if solution.history is None else solution.history.passes
     points = sum(phase.mesh.size for phase in solution.phases.values())
-    variables = _count_variables(solution.phases.values())
+    variables = _count_trajectory_variables(solution.phases.values())
     return sum(p.work for p in passes) * variables / points / WORK_PER_SECOND
 
 
-def _count_variables(phases: Iterable[PhaseSolution]) -> int:
+def _count_trajectory_variables(phases: Iterable[PhaseSolution]) -> int:
     """Return the number of states and controls, summed over the collocation points."""
     return sum(phase.mesh.size * (phase.states.size + phase.controls.size) for phase in phases)
 
@@ -145,7 +145,7 @@ class WorkBudget:
 
     def record_solve_work(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
-        variables = _count_variables(solution.phases.values())
+        variables = _count_trajectory_variables(solution.phases.values())
         self.record_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)
 
     def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:

@@ -46,9 +46,9 @@ class NlpProblem:
 
     def __post_init__(self) -> None:
         nx, ng = self.n_variables, self.n_constraints
-        _check_function_shape("grad_f", self.grad_f, 2, ((1, 1), (nx, 1)))
-        _check_function_shape("jac_g", self.jac_g, 2, ((ng, 1), (ng, nx)))
-        _check_function_shape("hess_lag", self.hess_lag, 4, ((nx, nx),))
+        _check_nlp_function_shape("grad_f", self.grad_f, 2, ((1, 1), (nx, 1)))
+        _check_nlp_function_shape("jac_g", self.jac_g, 2, ((ng, 1), (ng, nx)))
+        _check_nlp_function_shape("hess_lag", self.hess_lag, 4, ((nx, nx),))
         if self.hess_lag is not None and not self.hess_lag.sparsity_out(0).is_triu():
             raise ArgumentError("hess_lag must return only the upper triangle of the Hessian (casadi.triu)")
 
@@ -100,7 +100,9 @@ def create_nlp_symbols(problem: NlpProblem, *names: str) -> list[Any]:
     return [ca.MX.sym(name, rows[name]) for name in names]
 
 
-def _check_function_shape(name: str, function: Any, n_in: int, shapes: tuple[tuple[int, int], ...]) -> None:
+def _check_nlp_function_shape(
+    name: str, function: Any, n_in: int, shapes: tuple[tuple[int, int], ...]
+) -> None:
     if function is None:
         return
     found = tuple(tuple(function.size_out(i)) for i in range(function.n_out()))

@@ -94,12 +94,15 @@ class StateConstraints:
 
         They are sorted by their smallest effect on the first derivative with controls.
         """
-        found = {c: self._compute_control_derivative(row, c) for c in self.get_constraint_order(row).controls}
+        found = {
+            c: self._differentiate_constraint_by_control(row, c)
+            for c in self.get_constraint_order(row).controls
+        }
         order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
         signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
         return tuple((c, signs[c]) for c in order)
 
-    def _compute_control_derivative(self, row: int, control: int) -> Array:
+    def _differentiate_constraint_by_control(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
         s, order = self.samples, self.get_contact_order(row)
         distance = np.min(
@@ -144,11 +147,11 @@ class StateConstraints:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
         function = self.problem.memoize(
-            ("derivative", name, row, k), lambda: self._build_derivative_function(row, k)
+            ("derivative", name, row, k), lambda: self._build_constraint_derivative_function(row, k)
         )
         return np.asarray(evaluate_casadi_function(function, times, x, u, f.p, f.q)[0])
 
-    def _build_derivative_function(self, row: int, k: int) -> Any:
+    def _build_constraint_derivative_function(self, row: int, k: int) -> Any:
         phase = self.problem.phases[self.samples.leg.name]
         t, x, u, p = phase.model.arguments()
         expression = self.get_constraint_order(row).derivatives[k]
@@ -374,12 +377,14 @@ def _find_breaks_of_active_limit_exchange(rows: StateConstraints) -> tuple[Junct
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in phase.mesh.movable:
-                if side := _find_side_of_other_active_limit(s, near, limits, k):
+                if side := _find_side_where_other_limit_is_active(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _find_side_of_other_active_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _find_side_where_other_limit_is_active(
+    s: PhaseSamples, near: Mask, others: list[Mask], boundary: int
+) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))

@@ -172,7 +172,9 @@ def estimate_multipliers(
     pushing = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
     )
-    restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
+    restarts = {
+        name: _choose_adjoint_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()
+    }
     exact, determined = (
         _mask_adjoint_rows(transcription, restarts),
         _mask_adjoint_multipliers(transcription, restarts),
@@ -383,7 +385,7 @@ def _mask_adjoint_multipliers(transcription: Transcription, restarts: Mapping[st
     return columns
 
 
-def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
     middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)

@@ -142,7 +142,9 @@ class Scales:
             return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in legs.items()}
 
         reach = compute_reachable_sets({})
-        costs = {s.leg.name: _compute_deviation_cost_by_control(s, deviations[s.leg.name]) for s in samples}
+        costs = {
+            s.leg.name: _compute_cost_of_each_control_deviation(s, deviations[s.leg.name]) for s in samples
+        }
         flat = sum(float(np.sum(c)) for c in costs.values())
         changed = sum(
             max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
@@ -157,7 +159,7 @@ class Scales:
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             reach = compute_reachable_sets({})
-        cost = sum(_compute_deviation_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
+        cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.leg.name]) for s in samples)
         cost += sum(
             map(_compute_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples])
         )
@@ -173,13 +175,13 @@ class Scales:
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limited = sum(_compute_displacement_cost_at_limits(s, reach[s.leg.name][1].radius) for s in lasting)
+        limited = sum(_compute_limit_cost_of_state_shift(s, reach[s.leg.name][1].radius) for s in lasting)
         cost = limited if cost < SMALL * limited else cost
-        curvatures = _compute_parameter_curvatures(problem, solution, samples)
+        curvatures = _compute_parameter_lagrangian_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
+        parameters = _compute_parameter_variation_scales(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             reach = compute_reachable_sets(columns)
@@ -224,14 +226,14 @@ def solve_quadratic_step_to_limit(excess: Array, first: Array, second: Array) ->
         return np.asarray(np.divide(2.0 * excess, first + root, out=share, where=root > 0))
 
 
-def _compute_deviation_cost_by_control(s: PhaseSamples, deviation: Array) -> Array:
+def _compute_cost_of_each_control_deviation(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
     first = np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation
     second = 0.5 * np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
-def _compute_deviation_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
+def _compute_cost_of_joint_control_deviation(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
     bends = np.abs(set_nonfinite_to_zero(s.control_hessian))
     first = np.sum(np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation, axis=0) @ s.weights
@@ -245,7 +247,7 @@ def _compute_deviation_cost_of_all_controls(s: PhaseSamples, deviation: Array) -
     return change if change > NEGLIGIBLE * terms else terms
 
 
-def _compute_displacement_cost_at_limits(s: PhaseSamples, moved: Array) -> float:
+def _compute_limit_cost_of_state_shift(s: PhaseSamples, moved: Array) -> float:
     """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
     forces = set_nonfinite_to_zero(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
     return float(moved @ np.abs(forces) @ s.weights)
@@ -297,7 +299,7 @@ def _compute_end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _compute_parameter_deviations(
+def _compute_parameter_variation_scales(
     problem: Problem, solution: Solution, curvatures: Array, cost: float
 ) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
@@ -314,7 +316,9 @@ def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array
     return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
 
 
-def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
+def _compute_parameter_lagrangian_curvatures(
+    problem: Problem, solution: Solution, samples: list[PhaseSamples]
+) -> Array:
     """Return the second derivatives of the Lagrangian in the free parameters (n,), by differences."""
     values, size = solution.parameter_values, _compute_parameter_magnitudes(problem, solution)
     bends = np.zeros(values.size)
@@ -393,7 +397,7 @@ class EndPoints:
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
             spans += [compute_integral_scales(s), np.zeros(s.leg.parameters.size)]
         spans.append(compute_parameter_scales(self.solution))
-        first, second = self._compute_cost_and_constraint_differences(np.diag(np.concatenate(spans)))
+        first, second = self._compute_endpoint_finite_differences(np.diag(np.concatenate(spans)))
         changes = np.max(np.abs(first) + 0.5 * np.abs(second), axis=1, initial=0.0)
         values = np.append(self.gradients.constraints, self.gradients.cost)
         return np.asarray(np.fmax(changes, SPAN_MIN_SHARE * np.abs(values)))
@@ -408,9 +412,7 @@ class EndPoints:
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        _, second = self._compute_cost_and_constraint_differences(
-            self._list_principal_axis_displacements(reach)
-        )
+        _, second = self._compute_endpoint_finite_differences(self._list_principal_axis_displacements(reach))
         change = self._lagrangian_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
@@ -420,12 +422,12 @@ class EndPoints:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
         moves = [
             self._list_principal_axis_displacements(reach),
-            self._expand_displacements({-1: np.diag(parameters)}),
+            self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        found = self._compute_cost_and_constraint_differences(share * np.hstack(moves))
+        found = self._compute_endpoint_finite_differences(share * np.hstack(moves))
         jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.abs(self.gradients.constraints)
         for k, name in enumerate(self.solution.phases):
@@ -440,7 +442,7 @@ class EndPoints:
         sense = self.solution.need_problem("verify").sense
         return np.append(self.solution.constraint_multipliers, sense)
 
-    def _expand_displacements(self, changes: Mapping[int, Array]) -> Array:
+    def _expand_endpoint_displacements(self, changes: Mapping[int, Array]) -> Array:
         """Return moves of all ends (n_values, n) from those of some of ``values`` (n_k, n), by index."""
         n = next(iter(changes.values())).shape[1]
         moves = [np.zeros((v.size, n)) for v in self.values]
@@ -455,8 +457,8 @@ class EndPoints:
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
             first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
-            moves.append(self._expand_displacements({6 * k: first[:, free] * free[:, None]}))
-            moves.append(self._expand_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
+            moves.append(self._expand_endpoint_displacements({6 * k: first[:, free] * free[:, None]}))
+            moves.append(self._expand_endpoint_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
         return np.hstack(moves)
 
     def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[Array]:
@@ -467,7 +469,7 @@ class EndPoints:
             if not box.is_fixed[0]:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
                 moves.append(
-                    self._expand_displacements(
+                    self._expand_endpoint_displacements(
                         {place: set_nonfinite_to_zero(rate) * step, place + 2: np.array([[step]])}
                     )
                 )
@@ -479,16 +481,16 @@ class EndPoints:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
             self._list_principal_axis_displacements(reach, still=True),
-            self._expand_displacements({-1: np.diag(parameters)}),
+            self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
-                    moves.append(self._expand_displacements({place: np.array([[s.span]])}))
-        first, second = self._compute_cost_and_constraint_differences(step * np.hstack(moves))
+                    moves.append(self._expand_endpoint_displacements({place: np.array([[s.span]])}))
+        first, second = self._compute_endpoint_finite_differences(step * np.hstack(moves))
         return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
 
-    def _compute_cost_and_constraint_differences(self, moves: Array) -> tuple[Array, Array]:
+    def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
         here, n = np.concatenate(self.values)[:, None], moves.shape[1]
         rows = np.split(

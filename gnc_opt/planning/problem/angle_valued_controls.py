@@ -76,13 +76,13 @@ class AngleProbe:
         """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
         for period in candidates:
             turned, elsewhere = (
-                self.values(self._evaluate_at_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
+                self.values(self._shift_control_angle(i, by)) for by in (period, ELSEWHERE * period)
             )
             if is_invariant_under_full_turn(self.unshifted_function_values, turned, elsewhere):
                 return period
         return 0.0
 
-    def _evaluate_at_shifted_angle(self, i: int, by: float) -> Array:
+    def _shift_control_angle(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by
         return u

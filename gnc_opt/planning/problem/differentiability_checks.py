@@ -105,7 +105,7 @@ def _find_first_kink_by_type(
     free = [phase.model.symbol(name) for name in problem.parameters.names if name in phase.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
     reported: set[str] = set()
-    for what, labels, stacked in _collect_phase_expressions(phase):
+    for what, labels, stacked in _list_rates_paths_and_integrands(phase):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
             for node in iterate_subexpressions(expression):
                 operation = node.op()
@@ -295,7 +295,7 @@ def warn_of_singular_end_states(problem: ProblemData, phase: Phase) -> None:
     given = [np.where(b.is_fixed, b.lower, x) for b, x in zip(bounds, inside.T, strict=True)]
     trajectory = np.append(guessed.start.times, times)[None], np.hstack([np.transpose(given), inside])
     values = *trajectory, np.tile(controls, 2), phase.model.parameter_values, problem.get_parameter_guess()
-    for what, rows, expression in _collect_phase_expressions(phase):
+    for what, rows, expression in _list_rates_paths_and_integrands(phase):
         second = problem.substitute_parameters(phase, expression)
         for _ in range(2):
             second = ca.jtimes(second, variables, ca.DM.ones(variables.numel()))
@@ -364,14 +364,14 @@ def _get_phase_functions_with_jacobian(
                     problem.substitute_parameters(phase, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
                 ),
             )
-            for what, rows, expression in _collect_phase_expressions(phase)
+            for what, rows, expression in _list_rates_paths_and_integrands(phase)
             if rows
         ]
 
     return problem.memoize(("check", phase.name), build_phase_functions)
 
 
-def _collect_phase_expressions(phase: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
+def _list_rates_paths_and_integrands(phase: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
     return (
         ("the rate of state", phase.model.states.labels, phase.model.derivative()),
         ("path constraint", phase.path_labels, phase.path_expression()),

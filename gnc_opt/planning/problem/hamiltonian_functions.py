@@ -66,7 +66,7 @@ class PhaseFunctions:
 
     def state_rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt, shape of x."""
-        return self._evaluate_phase_function("rates", t, x, u)
+        return self._evaluate_function_by_name("rates", t, x, u)
 
     def buffered_state_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
@@ -76,47 +76,47 @@ class PhaseFunctions:
 
     def path_constraints(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
-        return self._evaluate_phase_function("paths", t, x, u)
+        return self._evaluate_function_by_name("paths", t, x, u)
 
     def integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Integrand values, shape (n_integrals, ...)."""
-        return self._evaluate_phase_function("integrands", t, x, u)
+        return self._evaluate_function_by_name("integrands", t, x, u)
 
     def evaluate_rates_paths_and_integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
-        return self._evaluate_phase_function("stacked", t, x, u)
+        return self._evaluate_function_by_name("stacked", t, x, u)
 
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """H = w.L + lam.f, shape (...)."""
-        return np.asarray(self._evaluate_phase_function("hamiltonian", t, x, u, lam)[0])
+        return np.asarray(self._evaluate_function_by_name("hamiltonian", t, x, u, lam)[0])
 
     def switching_functions(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """Switching functions dH/du, without path multipliers, shape of u."""
-        return self._evaluate_phase_function("switching", t, x, u, lam)
+        return self._evaluate_function_by_name("switching", t, x, u, lam)
 
     def control_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/du, shape of u."""
-        return self._evaluate_phase_function("control_gradient", t, x, u, lam, mu)
+        return self._evaluate_function_by_name("control_gradient", t, x, u, lam, mu)
 
     def state_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dx, shape of x."""
-        return self._evaluate_phase_function("state_gradient", t, x, u, lam, mu)
+        return self._evaluate_function_by_name("state_gradient", t, x, u, lam, mu)
 
     def parameter_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
-        return self._evaluate_phase_function("parameter_gradient", t, x, u, lam, mu)
+        return self._evaluate_function_by_name("parameter_gradient", t, x, u, lam, mu)
 
     def control_hessian(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
-        flat = self._evaluate_phase_function("control_hessian", t, x, u, lam, mu)
+        flat = self._evaluate_function_by_name("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
 
@@ -165,35 +165,35 @@ class PhaseFunctions:
 
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""
-        flat = self._evaluate_phase_function("state_jacobian", t, x, u)
+        flat = self._evaluate_function_by_name("state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
 
     def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/du, shape (n_states, n_controls, ...)."""
-        flat = self._evaluate_phase_function("input_jacobian", t, x, u)
+        flat = self._evaluate_function_by_name("input_jacobian", t, x, u)
         return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
-        flat = self._evaluate_phase_function("path_control_jacobian", t, x, u)
+        flat = self._evaluate_function_by_name("path_control_jacobian", t, x, u)
         m = np.shape(u)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
 
     def path_state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/dx, shape (n_paths, n_states, ...)."""
-        flat = self._evaluate_phase_function("path_state_jacobian", t, x, u)
+        flat = self._evaluate_function_by_name("path_state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
 
     def path_gradients(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
         """dc/dt (n_paths, ...), dc/dx (n_states, n_paths, ...) and dc/dq (n_free_parameters, n_paths, ...)."""
-        flat, n = self._evaluate_phase_function("path_gradients", t, x, u), np.shape(x)[0]
+        flat, n = self._evaluate_function_by_name("path_gradients", t, x, u), np.shape(x)[0]
         size = 1 + n + self.q.size, self.functions["paths"].size1_out(0)
         found = flat.reshape(*size, *flat.shape[1:])
         return found[0], found[1 : n + 1], found[n + 1 :]
 
-    def _evaluate_phase_function(
+    def _evaluate_function_by_name(
         self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
         function = self.functions[name]
@@ -216,11 +216,13 @@ def compile_phase_functions(
 ) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     selected = problem.get_phase(phase)
-    functions = problem.memoize(("functions", phase), lambda: _build_phase_functions(problem, selected))
+    functions = problem.memoize(
+        ("functions", phase), lambda: _build_hamiltonian_and_rate_functions(problem, selected)
+    )
     return PhaseFunctions(functions, p, q, weights, problem.time_unit)
 
 
-def _build_phase_functions(problem: Problem, phase: Phase) -> dict[str, Any]:
+def _build_hamiltonian_and_rate_functions(problem: Problem, phase: Phase) -> dict[str, Any]:
     t, x, u, p = phase.model.arguments()
     q = problem.parameter_symbols()
     lam = ca.SX.sym("lam", x.shape[0])

@@ -80,23 +80,23 @@ def _square_interval(a: Range) -> Range:
     return 0.0 if a[0] <= 0 <= a[1] else low * low, high * high
 
 
-def _compute_absolute_range(a: Range) -> Range:
+def _bound_absolute_value(a: Range) -> Range:
     low, high = sorted(map(abs, a))
     return 0.0 if a[0] <= 0 <= a[1] else low, high
 
 
-def _compute_square_root_range(a: Range) -> Range:
+def _bound_square_root(a: Range) -> Range:
     return math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))
 
 
-def _compute_exponential_range(a: Range) -> Range:
+def _bound_exponential(a: Range) -> Range:
     def exponentiate_without_overflow(x: float) -> float:
         return math.inf if x > 700 else math.exp(x)
 
     return exponentiate_without_overflow(a[0]), exponentiate_without_overflow(a[1])
 
 
-def _compute_power_range(a: Range, b: Range) -> Range:
+def _bound_power(a: Range, b: Range) -> Range:
     if a[0] < 0 or b[0] != b[1]:
         return ANY
     with np.errstate(all="ignore"):
@@ -114,11 +114,11 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_DIV: lambda a, b: _multiply_intervals(a, _invert_interval(b)),
     ca.OP_INV: _invert_interval,
     ca.OP_SQ: _square_interval,
-    ca.OP_SQRT: _compute_square_root_range,
-    ca.OP_FABS: _compute_absolute_range,
-    ca.OP_EXP: _compute_exponential_range,
-    ca.OP_POW: _compute_power_range,
-    ca.OP_CONSTPOW: _compute_power_range,
+    ca.OP_SQRT: _bound_square_root,
+    ca.OP_FABS: _bound_absolute_value,
+    ca.OP_EXP: _bound_exponential,
+    ca.OP_POW: _bound_power,
+    ca.OP_CONSTPOW: _bound_power,
     ca.OP_FMIN: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     ca.OP_FMAX: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
     ca.OP_SIN: lambda _: (-1.0, 1.0),

@@ -127,7 +127,7 @@ class Phase(StrictAttributes):
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
         for vector in self.vector_controls:
-            self._add_direction_length_constraint(vector)
+            self._constrain_direction_to_unit_length(vector)
         self.restatement: ControlMap | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
@@ -512,11 +512,11 @@ class Phase(StrictAttributes):
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vector_controls(expression)
-        self._add_direction_length_constraint(vector)
+        self._constrain_direction_to_unit_length(vector)
         if on_sphere is not None:
             self._told_on_sphere[vector.name] = on_sphere
 
-    def _add_direction_length_constraint(self, vector: VectorControl) -> None:
+    def _constrain_direction_to_unit_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
         self.paths[vector.direction_norm_constraint_name] = make_constraint(

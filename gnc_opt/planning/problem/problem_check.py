@@ -65,7 +65,7 @@ def check_bounds_and_times(problem: ProblemData) -> None:
         raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
     for phase in problem.phases.values():
         _check_phase_times(phase)
-        _check_boundary_values(phase)
+        _check_boundary_values_in_bounds(phase)
         _check_path_constraints_at_ends(problem, phase)
     for phase in problem.phases.values():
         _check_phase_order(problem, phase)
@@ -97,7 +97,7 @@ def _check_phase_times(phase: Phase) -> None:
         )
 
 
-def _check_boundary_values(phase: Phase) -> None:
+def _check_boundary_values_in_bounds(phase: Phase) -> None:
     for end, values in (("initial", phase.numbers.initial), ("final", phase.numbers.final)):
         both = intersect_bounds(values, phase.numbers.states)
         slack = ROUNDING * (1.0 + np.abs(both.lower))
@@ -214,7 +214,7 @@ def _collect_used_symbols(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
 
-def _find_unused_components(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
+def _find_unused_variable_components(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
     scalars = ca.vertsplit(symbol)
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
 
@@ -227,7 +227,7 @@ def check_unused_controls(problem: ProblemData) -> None:
         acted_on = ca.vertcat(phase.model.derivative(), phase.path_expression(), *counts)
         used = _collect_used_symbols([problem.substitute_parameters(phase, acted_on)])
         for variable in phase.model.controls.variables:
-            idle = _find_unused_components(variable, phase.model.symbol(variable.name), used)
+            idle = _find_unused_variable_components(variable, phase.model.symbol(variable.name), used)
             if idle:
                 raise ProblemError(
                     f"control '{idle[0]}' of {phase.label} appears in no dynamics, path constraint or integral of the "
@@ -249,7 +249,7 @@ def _check_unused_parameters(problem: ProblemData) -> None:
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:
         symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]
-        if len(_find_unused_components(variable, symbol, used)) == variable.size:
+        if len(_find_unused_variable_components(variable, symbol, used)) == variable.size:
             raise ProblemError(
                 f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
                 "model has a "
@@ -260,7 +260,8 @@ def _check_unused_parameters(problem: ProblemData) -> None:
             bound = variable.name in problem.parameters
             if (
                 not bound
-                and len(_find_unused_components(variable, model.symbol(variable.name), used)) == variable.size
+                and len(_find_unused_variable_components(variable, model.symbol(variable.name), used))
+                == variable.size
             ):
                 warn_user(
                     f"parameter '{variable.name}' of model '{model.name}' is used nowhere: remove it or use "

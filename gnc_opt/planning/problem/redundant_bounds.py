@@ -45,10 +45,10 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     numbers = phase.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.memoize(
-        ("rates by controls", phase.name), lambda: _build_control_dependent_rates(problem, phase)
+        ("rates by controls", phase.name), lambda: _build_rates_of_controlled_states(problem, phase)
     )
     if not np.any(bounded[rows]):
-        return _create_empty_state_mask(phase), _create_empty_state_mask(phase)
+        return _create_all_false_state_mask(phase), _create_all_false_state_mask(phase)
     values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
     loose, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
@@ -58,7 +58,7 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     place = ("one way", phase.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        relaxed, rising, falling = (_create_empty_state_mask(phase) for _ in range(3))
+        relaxed, rising, falling = (_create_all_false_state_mask(phase) for _ in range(3))
         rising[rows] = falling[rows] = bounded[rows]
         while True:  # fewer states are relaxed in every pass
             box = Interval(
@@ -74,11 +74,11 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     return known[1:]
 
 
-def _create_empty_state_mask(phase: Phase) -> Mask:
+def _create_all_false_state_mask(phase: Phase) -> Mask:
     return np.zeros(phase.model.states.size, dtype=bool)
 
 
-def _build_control_dependent_rates(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
+def _build_rates_of_controlled_states(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
     rates = phase.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, phase.model.symbols("control")).row(), dtype=int))
     return rows, build_phase_function(problem, phase, "rates", rates[rows.tolist()])
@@ -89,7 +89,7 @@ def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]
     idle = np.zeros((2, phase.model.states.size), dtype=bool)
     bounds = phase.numbers.states
     for places in _group_vector_states(phase):
-        length = _find_vector_length_at_end(phase, places)
+        length = _compute_vector_norm_at_fixed_end(phase, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
@@ -111,7 +111,7 @@ def _group_vector_states(phase: Phase) -> list[Indices]:
     return found + [np.array(places) for places in alike.values() if len(places) > 1]
 
 
-def _find_vector_length_at_end(phase: Phase, places: Indices) -> float:
+def _compute_vector_norm_at_fixed_end(phase: Phase, places: Indices) -> float:
     """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
     for value in (phase.numbers.initial, phase.numbers.final):
         if np.all(value.is_fixed[places]):

@@ -195,11 +195,11 @@ def build_final_solution(
     )
     solution = best.solution
     provenance = {**solution.provenance, "stage": best.stage}
-    provenance |= _describe_better_coarse_solve(candidates, best)
+    provenance |= _describe_lower_cost_on_coarse_mesh(candidates, best)
     return replace(solution, history=history, provenance=provenance).with_verdict(verdict)
 
 
-def _describe_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+def _describe_lower_cost_on_coarse_mesh(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
     """Return a hint at a coarse solve with a lower objective, beyond the estimated errors of both; empty if none."""
     lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
     if not lower:

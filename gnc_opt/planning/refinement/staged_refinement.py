@@ -103,7 +103,7 @@ class StagedRefinement:
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the result of hp refinement only, from a solution on a mesh."""
-        self._add_candidate_solution(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        self._record_candidate_solution(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return self._run_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
@@ -127,7 +127,7 @@ class StagedRefinement:
         ended: RefinementStatus | None = None
         try:
             for candidate in stages:
-                self._add_candidate_solution(candidate)
+                self._record_candidate_solution(candidate)
                 ended = self._classify_termination(candidate)
                 if ended is not None:
                     break
@@ -139,7 +139,7 @@ class StagedRefinement:
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return build_final_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
 
-    def _add_candidate_solution(self, candidate: Candidate) -> None:
+    def _record_candidate_solution(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
         solved = [c for c in self.candidates if c.is_solved]
         accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_small(self.tol)]
@@ -172,7 +172,7 @@ class StagedRefinement:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                if other.costs_less_on_same_mesh(self._find_candidate_of_solution(first)):
+                if other.costs_less_on_same_mesh(self._get_candidate_by_solution(first)):
                     first = other.solution
                     yield from self._refine_first_mesh(first, stage)
         middle = yield from self._solve_on_medium_mesh(first)
@@ -231,7 +231,7 @@ class StagedRefinement:
 
     # --- single solves ------------------------------------------------------------------------------------------------
 
-    def _find_candidate_of_solution(self, solution: Solution) -> Candidate:
+    def _get_candidate_by_solution(self, solution: Solution) -> Candidate:
         return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
     def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
@@ -270,7 +270,7 @@ class StagedRefinement:
 
     def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
-        if not self._find_candidate_of_solution(start).is_false_extremal:
+        if not self._get_candidate_by_solution(start).is_false_extremal:
             return None
         meshes = {name: phase.mesh for name, phase in start.phases.items()}
         guess = guess_by_minimum_hamiltonian(start)

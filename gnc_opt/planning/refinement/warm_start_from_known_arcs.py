@@ -184,7 +184,7 @@ class KnownArcs:
         return optimise_switching_times(
             start,
             tol=tol,
-            budget=self._create_work_budget(),
+            budget=self._create_warm_start_budget(),
             structures=left,
             options=KNOWN_ARCS_OPTIONS,
             segments="nearby",
@@ -193,7 +193,7 @@ class KnownArcs:
     def _solve_on_known_mesh(
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
-        budget = self._create_work_budget()
+        budget = self._create_warm_start_budget()
         first = budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS)
         found = solve_problem_on_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
@@ -208,7 +208,7 @@ class KnownArcs:
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
 
-    def _create_work_budget(self) -> WorkBudget:
+    def _create_warm_start_budget(self) -> WorkBudget:
         most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
         return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 

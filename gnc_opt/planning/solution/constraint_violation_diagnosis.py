@@ -62,10 +62,12 @@ def list_iterate_violations(
         special = _find_unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
         special = _find_nonfinite_functions(problem, phases, parameters)
-    return (*special, *_find_violated_rows(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
+    return (*special, *_find_violated_constraint_rows(transcription, problem, result, scaling))[
+        :_LISTED_VIOLATIONS
+    ]
 
 
-def _find_violated_rows(
+def _find_violated_constraint_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
     rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)

@@ -219,7 +219,7 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * rise
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
-    hidden = hidden[_find_highest_excess_peaks(k[hidden], promise[hidden])]
+    hidden = hidden[_select_largest_violation_peaks(k[hidden], promise[hidden])]
     if hidden.size:
         left, right = (
             samples.times[_find_neighbouring_samples(samples, j[hidden], step)] for step in (-1, 1)
@@ -230,13 +230,13 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_find_highest_excess_peaks(k[beyond], excess[beyond])]
+    beyond = beyond[_select_largest_violation_peaks(k[beyond], excess[beyond])]
     return Violations(
         limits.select_limits(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond]
     )
 
 
-def _find_highest_excess_peaks(groups: Indices, values: Array) -> Indices:
+def _select_largest_violation_peaks(groups: Indices, values: Array) -> Indices:
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])

@@ -84,10 +84,10 @@ def build_nlp_point_from_solution(
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
         phase = problem.phases[name]
-        old = _find_matching_phase(guess, phase)
+        old = _get_matching_guess_phase(guess, phase)
         _transfer_phase_variables(transcription, part, old, x, lam_x, lam_g)
-    _fill_free_parameters(transcription, problem, guess, x, lam_x)
-    _fill_boundary_multipliers(transcription, guess, lam_g)
+    _copy_free_parameters_from_guess(transcription, problem, guess, x, lam_x)
+    _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     return InitialNlpPoint(set_integral_variables(transcription, problem, x), lam_x, lam_g)
@@ -103,7 +103,7 @@ def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:
     return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
-def _find_matching_phase(guess: Solution, phase: Phase) -> PhaseSolution:
+def _get_matching_guess_phase(guess: Solution, phase: Phase) -> PhaseSolution:
     old = guess.phases.get(phase.name)
     if old is None:
         raise ProblemError(
@@ -162,7 +162,7 @@ def _transfer_phase_variables(
         lam_g[rows] = values
 
 
-def _fill_free_parameters(
+def _copy_free_parameters_from_guess(
     transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
 ) -> None:
     for name in problem.parameters.names:
@@ -172,7 +172,7 @@ def _fill_free_parameters(
             lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
 
 
-def _fill_boundary_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+def _set_boundary_constraint_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
     """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
     known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
@@ -250,14 +250,14 @@ def _replace_phase_guess(problem: Problem, name: str, phase: PhaseSolution) -> P
     names = (*phase.states.names, *phase.controls.names, *(c.name for c in phase.composed_controls))
     known = {name: phase.saturated_control(name) for name in names}
     values = {
-        v.name: _build_extrapolating_guess(phase, known[v.name])
+        v.name: _convert_signal_to_guess(phase, known[v.name])
         for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
     return problem.with_guess(name, phase.breaks[[0, -1]], **values) if values else problem
 
 
-def _build_extrapolating_guess(phase: PhaseSolution, signal: Signal) -> VectorizedGuess:
+def _convert_signal_to_guess(phase: PhaseSolution, signal: Signal) -> VectorizedGuess:
     """Return a signal as a guess that can be evaluated slightly outside the phase."""
     first, last = phase.breaks[[0, -1]]
     return VectorizedGuess(lambda times: np.atleast_2d(signal(np.clip(times, first, last))))

@@ -201,15 +201,16 @@ class Verdict:
     @property
     def headline(self) -> str:
         """Verdict in one sentence: failed conditions, or whether a minimum is certified; distance from a bound."""
+        gap = self._optimality_gap_text
         if self.minimum:
-            return f"every condition passes: a strict local minimum{self._describe_bound_gap}"
+            return f"every condition passes: a strict local minimum{gap}"
         if self.ok:
-            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_bound_gap}"
+            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{gap}"
         failed = ", ".join(c.name for c in self.failed)
         return self.outcome + f": {failed} {'fails' if len(self.failed) == 1 else 'fail'}" * bool(failed)
 
     @property
-    def _describe_bound_gap(self) -> str:
+    def _optimality_gap_text(self) -> str:
         if self.bound is None or self.gap is None:
             return ""
         if self.bound.certified:
@@ -242,7 +243,9 @@ class Verdict:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups, left = self.condition_groups, self.open_conditions
         failing = next((found for found in groups.values() if any(c in left for c in found)), [])
-        lines = [line for c in failing if c in left for line in _explain_condition(c, self.estimated)]
+        lines = [
+            line for c in failing if c in left for line in _explain_optimality_condition(c, self.estimated)
+        ]
         also = ", ".join(c.name for c in left if c not in failing)
         lines += [f"also: {also}"] * bool(also)
         worst = {group: find_worst_condition(found) for group, found in groups.items()}
@@ -305,7 +308,7 @@ def _format_condition_rows(title: str, rows: list[tuple[str, Condition, str]]) -
     ]
 
 
-def _explain_condition(condition: Condition, sampled: bool) -> list[str]:
+def _explain_optimality_condition(condition: Condition, sampled: bool) -> list[str]:
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",

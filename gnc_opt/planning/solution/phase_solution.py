@@ -217,11 +217,11 @@ class PhaseSolution:
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
-        return self._build_variable_signal(name, self.states, self.x)
+        return self._build_state_or_control_signal(name, self.states, self.x)
 
     def costate(self, name: str) -> Signal:
         """Return the costate of a state over time: dJ*/dx, per unit of the state."""
-        signal = self._build_variable_signal(name, self.states, self.lam)
+        signal = self._build_state_or_control_signal(name, self.states, self.lam)
         return Signal(
             f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
         )
@@ -248,14 +248,14 @@ class PhaseSolution:
         for composed in self.composed_controls:
             if composed.name == name:
                 variable = composed.variable
-                value = partial(_evaluate_composed_control, composed, self.controls, source)
+                value = partial(_evaluate_control_composed_of_parts, composed, self.controls, source)
                 return Signal(name, variable.unit, variable.labels, value, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
         wrapped = source if self.turns is None else partial(_evaluate_wrapped_angles, self.turns, source)
-        return self._build_variable_signal(name, self.controls, wrapped)
+        return self._build_state_or_control_signal(name, self.controls, wrapped)
 
-    def _build_variable_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
+    def _build_state_or_control_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
         return Signal(name, layout[name].unit, layout[name].labels, source, layout.slice(name))
 
     def interpolate_point_values(self, values: Array) -> PiecewisePolynomial:
@@ -329,7 +329,7 @@ def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> 
     return PiecewisePolynomial(breaks, signal.nodes[first:], values)
 
 
-def _evaluate_composed_control(
+def _evaluate_control_composed_of_parts(
     control: ComposedControl, layout: Layout, source: SignalSource, t: ArrayLike, side: Side
 ) -> Array:
     values = source(t, side)

@@ -233,7 +233,7 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """Scale of each control, from its own variation or the costates (m,); module `state_and_control_scales`."""
         terms = np.abs(self.switching_functions - self.cost_gradient)
-        most = float(np.nanmax(self._costate_rate_magnitudes, initial=0.0))
+        most = float(np.nanmax(self._costate_rate_product_magnitudes, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
         spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
@@ -320,7 +320,7 @@ class PhaseSamples:
         return scale if scale > 0 else 1.0
 
     @cached_property
-    def _costate_rate_magnitudes(self) -> Array:
+    def _costate_rate_product_magnitudes(self) -> Array:
         rates = self.functions.state_rates(self.times, self.x, self.u)
         return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
 
@@ -329,7 +329,7 @@ class PhaseSamples:
         """Sum of the magnitudes of the terms of H (n_samples,)."""
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return np.asarray(self._costate_rate_magnitudes + terms)
+        return np.asarray(self._costate_rate_product_magnitudes + terms)
 
     @cached_property
     def hamiltonian_scale(self) -> float:
@@ -341,7 +341,7 @@ class PhaseSamples:
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        largest = float(np.max(self._costate_rate_magnitudes + terms, initial=0.0))
+        largest = float(np.max(self._costate_rate_product_magnitudes + terms, initial=0.0))
         return max(largest, self.max_hamiltonian_change)  # which is at least the rounding level
 
     @property

@@ -53,7 +53,7 @@ class PiecewisePolynomial:
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(_make_read_only_copy(v) for v in self.values))
         _check_break_times(self.breaks)
-        _check_segment_values(self.breaks.size - 1, self.nodes, self.values)
+        _check_polynomial_nodes_and_values(self.breaks.size - 1, self.nodes, self.values)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s), (n,) for a scalar, (n, m) for an array; up to 1e-12 outside is clamped.
@@ -165,7 +165,9 @@ def _check_break_times(breaks: Array) -> None:
         raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
 
 
-def _check_segment_values(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
+def _check_polynomial_nodes_and_values(
+    count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]
+) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
     good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have equal nodes
@@ -207,7 +209,7 @@ class SaturatedControl:
     def is_piecewise_constant(self) -> Mask:
         """Whether each channel is piecewise constant in each segment, shape (m, K): beyond bounds by `AT_LIMIT`."""
         values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = AT_LIMIT * _compute_bound_ranges(self.bounds)
+        slack = AT_LIMIT * _compute_control_bound_widths(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
@@ -251,7 +253,7 @@ class SaturatedControl:
         return values if np.ndim(t) else values[:, 0]
 
 
-def _compute_bound_ranges(bounds: Interval) -> Array:
+def _compute_control_bound_widths(bounds: Interval) -> Array:
     """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
     fixed = replace_tiny_divisors_by_one(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))

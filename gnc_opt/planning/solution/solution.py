@@ -414,7 +414,7 @@ class Solution(PrintableResult):
         """Return states and applied controls by phase, in the controls as stated, of a solved solution."""
         problem = self.need_solved_problem("follow")
         return tuple(
-            _build_trajectory_phase(phase, problem.phases[phase.name]) for phase in self.phases.values()
+            _extract_phase_trajectory(phase, problem.phases[phase.name]) for phase in self.phases.values()
         )
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
@@ -443,7 +443,7 @@ class Solution(PrintableResult):
         return problem
 
 
-def _build_trajectory_phase(solved: PhaseSolution, phase: Phase) -> TrajectoryPhase:
+def _extract_phase_trajectory(solved: PhaseSolution, phase: Phase) -> TrajectoryPhase:
     restatement = phase.restatement
     model = phase.model if restatement is None else restatement.model
     names = model.parameters.names

@@ -74,13 +74,15 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
     for s in samples:
         scale = max(scale, NEGLIGIBLE * s.cost_scale)
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
-            infeasibility += np.sum(np.abs(_compute_marginal_defect_costs(s)) + _compute_violation_costs(s))
+            infeasibility += np.sum(
+                np.abs(_compute_cost_of_segment_defects(s)) + _compute_cost_of_constraint_violations(s)
+            )
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
     return ObjectiveError(float(found[0]), float(found[1]), scale)
 
 
-def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
+def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     phase, at, weights = s.leg, (s.times_inside_segments, s.x, s.u_polynomial), s.functions.weights
     total = -s.segment_integrals(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
@@ -93,7 +95,7 @@ def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     return total
 
 
-def _compute_violation_costs(s: PhaseSamples) -> Array:
+def _compute_cost_of_constraint_violations(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
     phase = s.leg
     of_states = _weight_violations_by_multipliers(s, s.x, phase.state_bounds, s.state_multiplier)
@@ -224,7 +226,7 @@ def measure_solution_accuracy(
             f"{n} ({u})" if u else n for n, u in zip(phase.states.labels, phase.states.units, strict=True)
         ]
         x = integrate_states_to_times(phase, s.functions, pieces.ravel())
-        missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
+        missed = max(missed, _find_largest_state_error_at_end(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
         of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
@@ -233,7 +235,9 @@ def measure_solution_accuracy(
     return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
 
 
-def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
+def _find_largest_state_error_at_end(
+    s: PhaseSamples, end: Array, labels: Sequence[str]
+) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
     phase, box = s.leg, s.leg.final_bounds
     error = np.max(

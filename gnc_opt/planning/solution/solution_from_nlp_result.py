@@ -129,13 +129,15 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     turned = u.copy()
     for i, period in angles.items():
         angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]
-        angle += period * _count_full_turns_into_bounds(angle, bounds.lower[i], bounds.upper[i], period)
+        angle += period * _count_turns_to_move_angle_into_bounds(
+            angle, bounds.lower[i], bounds.upper[i], period
+        )
         if bounds.lower[i] <= np.min(angle) and np.max(angle) <= bounds.upper[i]:
             turned[i] = angle
     return turned
 
 
-def _count_full_turns_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
+def _count_turns_to_move_angle_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
     """Return the smallest number of whole turns that moves angles (N,) into their bounds; 0 if there is none."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0

@@ -87,7 +87,9 @@ def compute_state_scales(
     moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
         return replace_tiny_divisors_by_one(take_largest_component(size, phase.states))
-    movable = take_largest_component(_estimate_reachable_changes(phase, functions, used), phase.states)
+    movable = take_largest_component(
+        _estimate_controllable_state_changes(phase, functions, used), phase.states
+    )
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
@@ -150,7 +152,9 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
     return np.asarray(least)
 
 
-def _estimate_reachable_changes(phase: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _estimate_controllable_state_changes(
+    phase: PhaseSolution, functions: PhaseFunctions, used: Array
+) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
     middles = compute_interval_midpoints(phase.breaks)
     x, u = phase.x(middles), phase.applied(middles)
@@ -159,14 +163,14 @@ def _estimate_reachable_changes(phase: PhaseSolution, functions: PhaseFunctions,
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = phase.breaks[-1] - phase.breaks[0]
-    at_once = lasts * by_control @ _compute_mean_control_effects(phase, used)
+    at_once = lasts * by_control @ _compute_mean_control_deviations(phase, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
 
 
-def _compute_mean_control_effects(phase: PhaseSolution, used: Array) -> Array:
+def _compute_mean_control_deviations(phase: PhaseSolution, used: Array) -> Array:
     """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
     times = phase.sample_times()
     lasts, u = times[-1] - times[0], phase.applied(times)

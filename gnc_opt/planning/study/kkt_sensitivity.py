@@ -197,7 +197,7 @@ class KktPoint:
     def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
         self.program = ProgramPoint.from_solution(solution, held=partial(impose_touch_points, with_arcs=True))
-        return self._solve_by_newton() or self._describe_wrong_active_limit()
+        return self._solve_by_newton() or self._describe_active_set_error()
 
     def _solve_by_newton(self) -> str:
         """Apply Newton's method to the conditions; return an error message or ""."""
@@ -227,7 +227,7 @@ class KktPoint:
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePointSystem(matrix, free.size, labels, self.program.problem.name)
 
-    def _describe_wrong_active_limit(self) -> str:
+    def _describe_active_set_error(self) -> str:
         """Return an error message if a multiplier has the wrong sign or a limit is violated; else ""."""
         culprits = [
             limits.labels[i]
@@ -279,7 +279,7 @@ class KktPoint:
         shifted = np.where(self.program.rows.active, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
             v.full().ravel()
-            for v in _compute_directional_derivatives(self.program.transcription)(
+            for v in _build_kkt_directional_derivatives(self.program.transcription)(
                 point.x, point.parameter_values, point.lam, direction
             )
         )
@@ -397,7 +397,7 @@ def _equilibrate_rows(matrix: Any) -> Array:
     return scale
 
 
-def _compute_directional_derivatives(transcription: Transcription) -> Any:
+def _build_kkt_directional_derivatives(transcription: Transcription) -> Any:
     """Return (x, p, lam, dp) -> directional derivatives along dp of L, of its gradient and of g."""
     if "sensitivity" not in transcription.built:
         nlp = transcription.nlp

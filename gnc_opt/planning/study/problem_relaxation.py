@@ -35,12 +35,12 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_state_sets(list(_list_state_dependence_closures(problem)))
+        for part in _select_maximal_state_subsets(list(_list_state_dependence_closures(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
 
-def _find_maximal_state_sets(sets: list[Mask]) -> Iterator[Mask]:
+def _select_maximal_state_subsets(sets: list[Mask]) -> Iterator[Mask]:
     for i, own in enumerate(sets):
         if not any(np.all(other >= own) for j, other in enumerate(sets) if j != i):
             yield own
@@ -54,9 +54,9 @@ def _list_state_dependence_closures(problem: Problem) -> Iterator[Mask]:
     ties = [_find_states_in_end_expression(problem, problem.constraint_expression())]
     for i, phase in enumerate(legs):
         own, x = owner == i, phase.model.symbols("state")
-        needs[np.ix_(own, own)] |= _build_dependence_matrix(phase.model.derivative(), x)
+        needs[np.ix_(own, own)] |= _build_jacobian_sparsity_mask(phase.model.derivative(), x)
         rows = np.zeros((phase.path_expression().numel(), owner.size), dtype=bool)
-        rows[:, own] = _build_dependence_matrix(phase.path_expression(), x)
+        rows[:, own] = _build_jacobian_sparsity_mask(phase.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
     # Phases stay linked: links couple states, even if other states are removed.
@@ -81,7 +81,7 @@ def _compute_transitive_closure(needs: Mask) -> Mask:
         needs = more
 
 
-def _build_dependence_matrix(expression: Any, symbols: Any) -> Mask:
+def _build_jacobian_sparsity_mask(expression: Any, symbols: Any) -> Mask:
     pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
     if pattern.size:
         rows, columns = ca.jacobian_sparsity(expression, symbols).get_triplet()
@@ -92,11 +92,11 @@ def _build_dependence_matrix(expression: Any, symbols: Any) -> Mask:
 def _find_states_in_end_expression(problem: Problem, expression: Any) -> Mask:
     columns = []
     for phase in problem.phases.values():
-        ends = _build_dependence_matrix(expression, phase.end_states("initial")) | _build_dependence_matrix(
-            expression, phase.end_states("final")
-        )
-        along = _build_dependence_matrix(phase.integrand_expression(), phase.model.symbols("state"))
-        used = _build_dependence_matrix(expression, phase.integral_symbols())
+        ends = _build_jacobian_sparsity_mask(
+            expression, phase.end_states("initial")
+        ) | _build_jacobian_sparsity_mask(expression, phase.end_states("final"))
+        along = _build_jacobian_sparsity_mask(phase.integrand_expression(), phase.model.symbols("state"))
+        used = _build_jacobian_sparsity_mask(expression, phase.integral_symbols())
         columns.append(ends | ((used.astype(int) @ along) > 0))
     return np.hstack(columns)
 
@@ -112,9 +112,9 @@ class _ReducedPhase:
             if used
         }
         moved = ca.vertcat(rates, *self.integrands.values())
-        self.controls = np.any(_build_dependence_matrix(moved, u), axis=0)
-        alone = ~np.any(_build_dependence_matrix(paths, x)[:, ~states], axis=1)
-        limited = _build_dependence_matrix(paths, u)
+        self.controls = np.any(_build_jacobian_sparsity_mask(moved, u), axis=0)
+        alone = ~np.any(_build_jacobian_sparsity_mask(paths, x)[:, ~states], axis=1)
+        limited = _build_jacobian_sparsity_mask(paths, u)
         self.rows = alone & ~np.any(limited, axis=1)
         while True:  # rows on remaining states and controls include their other controls
             more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
@@ -165,7 +165,7 @@ def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | No
     parts, first = [], 0
     for phase in problem.phases.values():
         last = first + phase.model.states.size
-        integrals = np.any(_build_dependence_matrix(ends, phase.integral_symbols()), axis=0)
+        integrals = np.any(_build_jacobian_sparsity_mask(ends, phase.integral_symbols()), axis=0)
         parts.append(_ReducedPhase(phase, kept[first:last], integrals))
         first = last
     return _build_relaxed_problem(problem, parts, conditions, problem.get_boundary_constraint_bounds(), alone)
@@ -190,7 +190,7 @@ def _build_relaxed_problem(
     for part in parts:
         model, old, new = part.build_reduced_model(used)
         phase = relaxed.phase(part.leg.name, model)
-        _declare_reduced_phase(phase, part, ca.vertcat(old, stated), ca.vertcat(new, free))
+        _declare_limits_of_reduced_phase(phase, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
         before += [old, part.leg.initial_time, part.leg.final_time]
         after += [new, phase.initial_time, phase.final_time]
@@ -228,7 +228,7 @@ def _declare_free_parameters(
     return before, after
 
 
-def _declare_reduced_phase(phase: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
+def _declare_limits_of_reduced_phase(phase: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
     """Declare the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     phase.numbers = replace(

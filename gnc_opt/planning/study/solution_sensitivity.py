@@ -218,7 +218,7 @@ def sensitivity(
     kind, name = chosen[0]
     quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
-    return _assemble_sensitivity(point.program, solution, quantity, changes, responses)
+    return _assemble_solution_sensitivity(point.program, solution, quantity, changes, responses)
 
 
 def _get_factorised_kkt(solution: Solution) -> KktPoint:
@@ -282,7 +282,7 @@ def _list_data_perturbations(
     )
 
 
-def _create_zero_perturbation(program: ProgramPoint) -> DataPerturbation:
+def _create_zero_data_perturbation(program: ProgramPoint) -> DataPerturbation:
     transcription = program.transcription
     return DataPerturbation(
         np.zeros(transcription.stack_problem_data(program.problem).size),
@@ -310,7 +310,7 @@ def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _create_zero_perturbation(program)
+        change = _create_zero_data_perturbation(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
@@ -329,7 +329,7 @@ def _perturb_end_states(
                 f"the {end} value of '{label}' in phase '{phase.name}' of '{program.problem.name}' is not fixed and "
                 "not at a limit, so that there is no derivative: choose another state."
             )
-        change = _create_zero_perturbation(program)
+        change = _create_zero_data_perturbation(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
@@ -338,7 +338,7 @@ def _perturb_end_states(
 def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataPerturbation:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _create_zero_perturbation(program)
+    change = _create_zero_data_perturbation(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -363,7 +363,7 @@ def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: st
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
-        change = _create_zero_perturbation(program)
+        change = _create_zero_data_perturbation(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -372,7 +372,7 @@ def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: st
 # --- the derivatives ------------------------------------------------------------------------------
 
 
-def _assemble_sensitivity(
+def _assemble_solution_sensitivity(
     program: ProgramPoint,
     solution: Solution,
     quantity: str,

@@ -58,7 +58,7 @@ def impose_state_limits_on_arcs(
     """
     if not held.states:
         return
-    bounds, going_on = phase.numbers.states, _find_states_on_linked_arcs(phase, held)
+    bounds, going_on = phase.numbers.states, _find_states_linked_from_bound_arc(phase, held)
     _fix_variables_at_arc_limits(box, collocation.point_states, held.states, bounds, collocation)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
@@ -77,7 +77,7 @@ def impose_state_limits_on_arcs(
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _find_states_on_linked_arcs(phase: Phase, held: FixedArcs) -> set[int]:
+def _find_states_linked_from_bound_arc(phase: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
     for name in phase.model.states.names:

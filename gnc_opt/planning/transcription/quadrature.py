@@ -67,17 +67,17 @@ def get_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
-    return _build_collocation_rule(*_check_rule_arguments(scheme, n))
+    return _build_collocation_rule(*_check_quadrature_arguments(scheme, n))
 
 
 def get_collocation_points(scheme: Scheme, n: int) -> Array:
     """Return the ``n`` points of a family in ascending order, shape (n,); raises as `get_collocation_rule`."""
-    return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[0]
+    return _compute_quadrature_points_and_weights(*_check_quadrature_arguments(scheme, n))[0]
 
 
 def get_quadrature_weights(scheme: Scheme, n: int) -> Array:
     """Return the ``n`` quadrature weights of a family, shape (n,); raises as `get_collocation_rule`."""
-    return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[1]
+    return _compute_quadrature_points_and_weights(*_check_quadrature_arguments(scheme, n))[1]
 
 
 def compute_barycentric_weights(nodes: ArrayLike) -> Array:
@@ -109,7 +109,7 @@ def interpolate_barycentric(x: Array, w: Array, at: Array) -> Array:
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 
-def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+def _check_quadrature_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = get_point_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, or more segments"
@@ -122,17 +122,17 @@ def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_context_precision():
         nodes = get_point_family(scheme).get_state_nodes(x)
-        w = _compute_reciprocal_products(nodes)
+        w = _invert_products_of_node_differences(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _build_square_differentiation_matrix(nodes, w)[collocated]
         integration = _integrate_legendre(x, n) @ _build_decimal_legendre_transform(scheme, n)
         end_values = _differentiate_legendre_at_one(nodes, w)
     tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
-    return CollocationRule(scheme, n, *_compute_points_and_weights(scheme, n), *tables)
+    return CollocationRule(scheme, n, *_compute_quadrature_points_and_weights(scheme, n), *tables)
 
 
 @cache
-def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
+def _compute_quadrature_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
     x, w = _compute_decimal_points_and_weights(scheme, n)
     return _round_to_float(x), _round_to_float(w)
 
@@ -189,7 +189,7 @@ def _build_legendre_transform(scheme: Scheme, n: int) -> Array:
     return _round_to_float(_build_decimal_legendre_transform(scheme, n))
 
 
-def _compute_reciprocal_products(x: Numbers) -> Numbers:
+def _invert_products_of_node_differences(x: Numbers) -> Numbers:
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
     return np.asarray(1 / gap.prod(axis=1))
@@ -218,7 +218,7 @@ def _compute_barycentric_weights(nodes: bytes) -> Array:
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     with _set_decimal_context_precision():
-        w = _compute_reciprocal_products(_convert_to_decimals(x))
+        w = _invert_products_of_node_differences(_convert_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 

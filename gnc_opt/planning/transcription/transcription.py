@@ -118,12 +118,12 @@ class Transcription(NlpLayout):
         )
         function = self.problem.memoize(
             ("point", phase.name, of, *free.tolist()),
-            lambda: self._build_collocation_point_function(phase, of, free, fixed),
+            lambda: self._build_dynamics_or_integral_function(phase, of, free, fixed),
         )
         weights = assemble_sparse_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
         return PointTerm(function, variables.astype(np.int64), data, weights)
 
-    def _build_collocation_point_function(
+    def _build_dynamics_or_integral_function(
         self, phase: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
         """Return the mesh-independent function of states, controls, free ends of the arc, and free parameters."""

@@ -64,8 +64,8 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
         "duration of the phase; a negative slope is a violation. It fails if the switching function next to the "
         f"switch has the wrong sign by more than {NEGLIGIBLE:.0e} of H; smaller values are errors of the costates."
     )
-    worst = min(filter(None, map(_find_worst_switching_sign, samples)), default=None)
-    touched = next(filter(None, map(_find_zero_without_sign_change, samples)), "")
+    worst = min(filter(None, map(_find_worst_switching_function_sign, samples)), default=None)
+    touched = next(filter(None, map(_find_switching_function_touching_zero, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.is_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
@@ -90,7 +90,7 @@ class _SwitchingFunctionZero:
         return self.slope < -NEGLIGIBLE and not self.harmless
 
 
-def _find_worst_switching_sign(s: PhaseSamples) -> _SwitchingFunctionZero | None:
+def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZero | None:
     phase = s.leg
     times, channels = find_bound_to_bound_switches(s)
     if not times.size:
@@ -134,7 +134,7 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
     return differentiate_augmented_hamiltonian(s, s.times_inside_segments, s.x, s.u, s.lam, s.mu)
 
 
-def _find_zero_without_sign_change(s: PhaseSamples) -> str:
+def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
     slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.is_at_control_bounds, axis=0)
@@ -198,7 +198,7 @@ def check_bang_bang_second_order(
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     every = itertools.product(*(s.list_switch_sequences() for s in switches.values()))
     found = [
-        _check_second_order_for_switch_order(
+        _check_second_order_of_switch_sequence(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
         )
         for orders in every
@@ -220,7 +220,7 @@ def check_bang_bang_second_order(
     )
 
 
-def _check_second_order_for_switch_order(
+def _check_second_order_of_switch_sequence(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,

@@ -65,7 +65,7 @@ def impose_constraints_active_at_ends(
         box = phase.get_path_bounds()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _build_constraint_at_end(phase, row, end)
+            expression = _express_path_constraint_at_end(phase, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
@@ -90,7 +90,7 @@ def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _build_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
+def _express_path_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = phase.model.arguments()
     time = phase.initial_time if end == "initial" else phase.final_time
     at_end = ca.vertcat(time, phase.end_states(end))
@@ -222,7 +222,7 @@ def check_complementarity(
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.select_larger(_check_state_bound_impulses(s, scales))
+        worst = worst.select_larger(_check_costate_jumps_at_state_bounds(s, scales))
         phase, times = s.leg, s.leg.point_times
         x, u = phase.x(times), np.hstack(phase.u.values)
         paths = s.functions.path_constraints(times, x, u)
@@ -262,7 +262,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     return Worst.locate_largest(violation, places.__getitem__)
 
 
-def _check_state_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
+def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     phase, breaks = s.leg, s.leg.breaks[1:-1]
     impulses, beside = phase.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, phase.state_multipliers)
@@ -290,7 +290,7 @@ def check_parameter_stationarity(
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        atoms = _compute_impulse_gradients(s, ends)
+        atoms = _compute_contact_parameter_gradients(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
@@ -304,7 +304,7 @@ def check_parameter_stationarity(
     return Worst.locate_largest(violation, places.__getitem__)
 
 
-def _compute_impulse_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
+def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     phase = s.leg
     pushes = [explain_costate_gap(s, at, ends).multipliers for at in (0, -1)]

@@ -170,7 +170,7 @@ def verify_trajectory(
     check_unused_controls(problem)
     samples = _unwrap_sampled_angles(problem, _read_sampled_phases(problem, t, x, u), q)
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
-    if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
+    if verdict.minimum or twin is problem or _do_angles_exceed_full_turn_bounds(problem, twin, samples):
         return verdict
     other = _check_reformulated_trajectory(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
@@ -241,11 +241,13 @@ def _check_reformulated_trajectory(
     """Return the verdict in the reformulated controls, without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = reformulate_samples(problem, twin, stated, q)
-    q = _append_kink_parameters(twin, samples, q)
+    q = _append_epigraph_parameters(twin, samples, q)
     return _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, samples, q), q, tol)
 
 
-def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
+def _do_angles_exceed_full_turn_bounds(
+    problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]
+) -> bool:
     """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
     for name, phase in twin.phases.items():
         if phase.numbers.turns is not None:
@@ -256,7 +258,7 @@ def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[s
     return False
 
 
-def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
+def _append_epigraph_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
     """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:

@@ -139,7 +139,9 @@ def check_limits(
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").get_parameter_bounds()
     values = solution.parameter_values
-    worst = _find_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
+    worst = _find_largest_bound_violation(
+        values, box, scales.parameters, labels, solution.free_parameters.units
+    )
     for s in samples:
         worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
             _find_state_violation(s, scales)
@@ -189,18 +191,20 @@ def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> W
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
-    shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
+    shares = _compute_distances_to_limits(
+        s, scales, found.limits, found.excess, (found.times, found.x, found.u)
+    )
     i = int(np.argmax(shares))
     excess = limits.compute_limit_excess(at.times, at.x, at.u)
     rows, k = np.nonzero(excess > 0)
     here = at.times[k], at.x[:, k], at.u[:, k]
-    beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
+    beside = _compute_distances_to_limits(s, scales, limits.select_limits(rows), excess[rows, k], here)
     most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
     what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 
 
-def _compute_limit_distances(
+def _compute_distances_to_limits(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
@@ -261,21 +265,23 @@ def check_boundary_conditions(
         ):
             labels = [f"phase {name}, {end}, {label}" for label in phase.states.labels]
             worst = worst.select_larger(
-                _find_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
+                _find_largest_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
             )
         times = np.array([phase.initial_time, phase.final_time, phase.duration])
         bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.select_larger(
-            _find_interval_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
+            _find_largest_bound_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
         )
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(phase.initial_time), abs(phase.final_time))
         gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_larger(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+        worst = worst.select_larger(
+            _find_largest_bound_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2)
+        )
     worst = worst.select_larger(_find_boundary_violation(solution, ends, scales))
     return check_tolerance(
         "boundary conditions",
@@ -292,7 +298,7 @@ def _cap_scale_by_interval_width(scale: Array, box: Interval) -> Array:
     return np.fmin(scale.T, most).T
 
 
-def _find_boundary_error(
+def _find_largest_boundary_error(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
@@ -368,7 +374,7 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
-def _find_interval_violation(
+def _find_largest_bound_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = interval.compute_bound_violation(values)

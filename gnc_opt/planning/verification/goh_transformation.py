@@ -116,7 +116,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
             if singular[i, -1]:
                 last = part.collocation.boundary_states[_find_states_driven_by_controls(s, i), -1]
                 squares[last] = 0.5 * part.collocation.mesh.segment_widths[-1]
-            block, places = _build_control_integral_variations(squares.size, part, i, singular[i])
+            block, places = _build_integrated_control_variations(squares.size, part, i, singular[i])
             itself[places] = False
             blocks.append(block)
     if not blocks:
@@ -188,7 +188,7 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
-    slopes = _compute_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
+    slopes = _build_hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
     by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
     mixed = span[:, None] * slopes[channels] @ by_control
     by_control = by_control / point.scaling.variables[last, None]
@@ -216,13 +216,13 @@ def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, cha
     ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
-    slopes = _compute_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
+    slopes = _build_hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
     limited = np.logical_or(*s.leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 
-def _compute_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
+def _build_hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
 
     def build_mixed_derivative_function() -> Any:
         slope = s.functions.functions["switching"]
@@ -239,7 +239,7 @@ def _find_states_driven_by_controls(s: PhaseSamples, control: int) -> Indices:
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 
 
-def _build_control_integral_variations(
+def _build_integrated_control_variations(
     n: int, part: PhaseIndices, control: int, singular: Mask
 ) -> tuple[Any, Indices]:
     """Return variations y of a control of a phase (n, n_variations), and the variables that they replace."""

@@ -60,7 +60,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     worst = NOTHING
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
-        miss = _compute_distance_to_minimum(s, scales)
+        miss = _compute_control_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
         clear = np.isfinite(miss) & (miss > NOTABLE) & has_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
@@ -78,7 +78,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     return worst
 
 
-def _compute_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
+def _compute_control_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
     """Return the distance of each control to the minimum of H, in deviations; infinite for negative curvature."""
     deviation = scales.phases[s.leg.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
@@ -205,7 +205,9 @@ def check_legendre_clebsch(
         "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    found = [_find_least_sustained_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
+    found = [
+        _find_least_control_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)
+    ]
     places = [(value, place) for value, place in found if place is not None]
     if not places:
         along = any(np.any(here) for here in singular)
@@ -216,7 +218,7 @@ def check_legendre_clebsch(
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _find_least_sustained_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
+def _find_least_control_hessian_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)

@@ -74,10 +74,10 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in find_sign_changes(row[signed]):
-                found = _find_rate_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                found = _find_jump_of_state_rates(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
-        rests.append(_find_sliding_on_kink(s, kinks, values))
+        rests.append(_find_longest_interval_on_kink(s, kinks, values))
     return max(filter(None, rests), key=lambda rest: rest.of_states, default=None)
 
 
@@ -129,10 +129,10 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         axes = moves = scales.phases[s.leg.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
             moves = axes @ _build_unit_directions(axes.shape[1])[0]
-        along = _difference_hamiltonian(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
+        along = _compute_hamiltonian_differences_by_step(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
         # A kink that sums and differences of axes and fixed directions meet is met by some of these, too.
         if np.any(_mask_kinks(along[0], along[1], scales.cost)):
-            along = _difference_hamiltonian(s, moves)
+            along = _compute_hamiltonian_differences_by_step(s, moves)
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
     for where, (coarse, fine) in found:
         share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
@@ -148,10 +148,8 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
 class _CombinedDirections(EndPoints):
     """End points of which differences are along combinations of the given moves."""
 
-    def _compute_cost_and_constraint_differences(self, moves: Array) -> tuple[Array, Array]:
-        return super()._compute_cost_and_constraint_differences(
-            moves @ _build_unit_directions(moves.shape[1])[0]
-        )
+    def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
+        return super()._compute_endpoint_finite_differences(moves @ _build_unit_directions(moves.shape[1])[0])
 
 
 def _build_unit_directions(n: int) -> tuple[Array, Array]:
@@ -172,7 +170,7 @@ def _find_largest_nonconvexity(differences: Array) -> float:
     return float(np.max(change[n:] - np.tile(change[i] + change[j], 2), initial=0.0))
 
 
-def _difference_hamiltonian(s: PhaseSamples, moves: Array) -> list[Array]:
+def _compute_hamiltonian_differences_by_step(s: PhaseSamples, moves: Array) -> list[Array]:
     return [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
 
 
@@ -196,7 +194,7 @@ def _evaluate_kink_arguments(
     return evaluate_casadi_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
-def _find_rate_jump(
+def _find_jump_of_state_rates(
     s: PhaseSamples, kinks: KinkFunctions, i: int, between: Array, tolerance: float
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
@@ -217,7 +215,7 @@ def _find_rate_jump(
     return KinkPoint(size, where, True)
 
 
-def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
+def _find_longest_interval_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
     sizes = replace_tiny_divisors_by_one(np.max(np.abs(values), axis=1))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]

@@ -149,9 +149,9 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     costs.append(check_stored_data(stored, solution, kept, tol))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
-        _combine_partial_conditions("limits", limits),
+        _combine_optimality_conditions("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _combine_partial_conditions("cost", costs),
+        _combine_optimality_conditions("cost", costs),
     ]
     first = _check_first_order_conditions(solution, samples, ends, scales, tol)
     kink = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
@@ -165,7 +165,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         second = [_create_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
         second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
-        second = _check_second_order_and_switching(solution, samples, ends, scales, tol, first[2].loss)
+        second = _check_second_order_and_switching_times(solution, samples, ends, scales, tol, first[2].loss)
     else:
         second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
@@ -214,7 +214,7 @@ def _check_first_order_conditions(
     ]
 
 
-def _combine_partial_conditions(name: str, parts: list[Condition]) -> Condition:
+def _combine_optimality_conditions(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the combined result; value and location are those of the decisive part."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
@@ -222,7 +222,7 @@ def _combine_partial_conditions(name: str, parts: list[Condition]) -> Condition:
     return replace(decisive, name=name, where=where)
 
 
-def _check_second_order_and_switching(
+def _check_second_order_and_switching_times(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -239,8 +239,8 @@ def _check_second_order_and_switching(
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_mark_curvature_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _describe_undetermined_arcs(_combine_partial_conditions("second order", parts), parts),
-        _combine_partial_conditions("switching times", switches),
+        _describe_undetermined_arcs(_combine_optimality_conditions("second order", parts), parts),
+        _combine_optimality_conditions("switching times", switches),
     ]
 
 

@@ -162,21 +162,21 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         if np.isnan(free.value):
             beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
             return make_second_order_condition(result, 0.0, beyond, 0.0)
-        place = _describe_variation_location(cone.point, solution, free.direction)
+        place = _describe_largest_variation_component(cone.point, solution, free.direction)
         return make_second_order_condition(result, -free.value, beyond or place)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
-            place = _describe_variation_location(cone.point, solution, found.direction)
+            place = _describe_largest_variation_component(cone.point, solution, found.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
             if cone.has_curvature_of_dependent_rows(found.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
             return make_second_order_condition(result, -found.value, place + reason)
-    place = _describe_variation_location(cone.point, solution, free.direction)
+    place = _describe_largest_variation_component(cone.point, solution, free.direction)
     return make_second_order_condition(
-        ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
+        ConditionResult.INCONCLUSIVE, -free.value, place + _explain_inconclusive_curvature(free, steep)
     )
 
 
@@ -184,7 +184,7 @@ def _describe_cost_decrease(curvature: Curvature) -> str:
     return f": a variation by {100 * GAIN_STEP_SHARE:.0f} % of the magnitudes lowers the cost by {curvature.gain:.3g}"
 
 
-def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
+def _explain_inconclusive_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.is_negative(steep):
         return ": the curvature is negative, but limits may exclude this variation"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
@@ -242,7 +242,7 @@ def _has_partly_singular_segment(s: PhaseSamples) -> bool:
     return bool(np.any(mask_singular_samples(s) & ~mask_singular_segments(s)[:, s.segments]))
 
 
-def _describe_variation_location(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+def _describe_largest_variation_component(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
         phase, places = solution.phases[name], part.collocation.point_controls
@@ -268,7 +268,7 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     typical = max(typical, point.rounding)  # with vanishing costates, rows are not larger
     # Integrals of variations have steep rows, independent of the variations.
     steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
-    direction = _find_least_curvature(space, hessian / typical, steep)
+    direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = compute_curvature(hessian, direction)
@@ -284,12 +284,12 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
-def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
+def _find_direction_of_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
     """Return the direction of smallest curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
     if n == 0:
         return None
-    if steep and (found := _find_negative_direction(space, hessian)) is not None:
+    if steep and (found := _find_negative_curvature_direction(space, hessian)) is not None:
         return found
     inverse = space.invert_projected_hessian(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
@@ -303,7 +303,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _find_negative_direction(space: NullSpace, hessian: Any) -> Array | None:
+def _find_negative_curvature_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return a direction of large negative curvature, whose inverse vanishes; None without one."""
     project = space.projection_operator
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))

@@ -148,11 +148,11 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
         return False
     weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
     return weighed or all(
-        _find_largest_cost_change_at_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
+        _find_largest_endpoint_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
     )
 
 
-def _find_largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> float:
+def _find_largest_endpoint_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
     times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))

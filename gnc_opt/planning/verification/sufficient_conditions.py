@@ -210,10 +210,10 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
 
 def compute_lower_bound(problem: Problem) -> float:
     """Return a lower bound of the minimised cost by interval arithmetic; -inf if unknown."""
-    return float(_compute_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
+    return float(_bound_endpoint_functions_from_below(problem, [problem.sense * problem.cost])[0])
 
 
-def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
+def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence[Any]) -> Array:
     q, boxes = problem.get_parameter_bounds(), []
     for phase in problem.phases.values():
         p = _read_parameter_interval(phase)
@@ -221,7 +221,7 @@ def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any])
             intersect_bounds(given, phase.numbers.states)
             for given in (phase.numbers.initial, phase.numbers.final)
         ]
-        boxes += [*ends, *phase.time_ranges(), _compute_integral_lower_bounds(problem, phase, q), p]
+        boxes += [*ends, *phase.time_ranges(), _bound_phase_integrals(problem, phase, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
     return compute_value_ranges(function, [*boxes, q]).lower
 
@@ -268,7 +268,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
     apart = recompute_stored_data(apart)
     amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_largest_changes()[:-1]
     return np.asarray(
-        (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms))
+        (get_end_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
         / replace_zero_divisors_by_one(amounts)
     )
 
@@ -294,7 +294,7 @@ def _read_parameter_interval(phase: Phase) -> Interval:
     return Interval(phase.model.parameter_values, phase.model.parameter_values)
 
 
-def _compute_integral_lower_bounds(problem: Problem, phase: Phase, q: Interval) -> Interval:
+def _bound_phase_integrals(problem: Problem, phase: Phase, q: Interval) -> Interval:
     (initial, final), numbers = phase.time_ranges(), phase.numbers
     times = Interval(initial.lower, final.upper)
     column = phase.integrand_expression()

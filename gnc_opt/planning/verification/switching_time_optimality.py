@@ -46,7 +46,7 @@ def check_switching_times(
     problem = solution.need_problem("verify")
     jumps = find_control_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
-    if jumps and _are_jump_times_unknowns(jumps, samples):
+    if jumps and _are_control_jump_times_variables(jumps, samples):
         jumps, place = [], f"{place}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
@@ -59,7 +59,7 @@ def check_switching_times(
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
-def _are_jump_times_unknowns(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
+def _are_control_jump_times_variables(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
     """Return whether every jump is an unknown of the second-order condition: bang-bang arcs, or movable breaks with the
     jump of a single control and no active state limit."""
     if any(jump.beyond for jump in jumps):

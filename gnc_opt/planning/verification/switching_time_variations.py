@@ -113,16 +113,16 @@ class ShiftedTrajectory:
         # With unstable dynamics, full steps exceed the range of the second-order expansion.
         steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
         slopes *= steps
-        basis = steps[:, None] * _find_end_preserving_directions(slopes[:, :n], slopes[:, n:])
+        basis = steps[:, None] * _find_directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
         if not np.any(basis[:n]):
             return None
         pairs = itertools.combinations(basis.T, 2)
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
         values, _ = self.integrate_lagrangian_changes(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._compute_second_order_decrease(*_draw_unit_directions(basis, half), steps)
+        return self._compute_second_order_cost_decrease(*_draw_unit_directions(basis, half), steps)
 
-    def _compute_second_order_decrease(
+    def _compute_second_order_cost_decrease(
         self, directions: Array, terms: Array, steps: Array
     ) -> tuple[Worst, bool] | None:
         """Return the largest second-order decrease along directions (n_unknowns, n), the second half negative."""
@@ -411,7 +411,7 @@ def _scale_active_limit_changes(values: Array, box: Interval, reach: Array, unre
     return np.asarray((values - values[:, -1:])[active] / size[active, None])
 
 
-def _find_end_preserving_directions(shifts: Array, others: Array) -> Array:
+def _find_directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
     """Return a basis (n_unknowns, d) that preserves the end conditions, from their slopes: jumps with their
     corrections, followed by directions without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)

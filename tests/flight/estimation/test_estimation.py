@@ -17,11 +17,7 @@ from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, design_ukf
-from gnc_opt.spacecraft import (
-    mrp_difference,
-    mrp_rate,
-    mrp_retraction,
-)
+from gnc_opt.spacecraft import mrp_difference, mrp_rate, mrp_retraction
 
 DT = 0.1
 DESIGNS = [design_ekf, design_ukf]

@@ -62,12 +62,7 @@ def test_status_and_cause(build: Build, status: go.Status, culprit: str, scheme:
 
 
 @pytest.mark.parametrize(
-    "build",
-    [
-        ill_posed.too_little_time,
-        ill_posed.free_ride,
-        ill_posed.root_of_clipped_state,
-    ],
+    "build", [ill_posed.too_little_time, ill_posed.free_ride, ill_posed.root_of_clipped_state]
 )
 def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
     solution = ended(build)

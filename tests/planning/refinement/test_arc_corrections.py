@@ -190,13 +190,7 @@ def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
     assert held[0].tolist() == [FREE, FREE, UP, UP, FREE] and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
 
 
-STRUCTURE = PhaseStructure(
-    (0.0, 2.0, 4.0),
-    ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7),
-    (),
-    2,
-    6,
-)
+STRUCTURE = PhaseStructure((0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6)
 
 
 def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:

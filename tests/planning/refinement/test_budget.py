@@ -173,13 +173,13 @@ def test_an_answer_that_is_stopped_is_no_worse_than_one_before(
     share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: list[tuple[float, float]] = []
-    real: Any = StagedRefinement._add_candidate_solution
+    real: Any = StagedRefinement._record_candidate_solution
 
     def noted(self: StagedRefinement, candidate: Any) -> None:
         real(self, candidate)
         found.append((self.budget.spent, candidate.minimised_cost if candidate.is_solved else math.inf))
 
-    monkeypatch.setattr(StagedRefinement, "_add_candidate_solution", noted)
+    monkeypatch.setattr(StagedRefinement, "_record_candidate_solution", noted)
     limit = share * OSCILLATOR_WORK
     stopped = go.solve(double_oscillator.build(), limits=go.RefinementLimits(max_work=limit))
     # A solve that begins within the limit has the fixed cost of 15 iterations, at 600 points at most, besides.

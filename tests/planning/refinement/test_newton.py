@@ -12,14 +12,7 @@ import pytest
 from scipy.optimize import brentq
 from testing.constructed_solutions import cart as constructed_cart
 from testing.constructed_solutions import costates, interval, phase, solution
-from testing.internals import (
-    ArcMesh,
-    Interval,
-    PhaseStructure,
-    Scheme,
-    Switches,
-    detect_phase_structure,
-)
+from testing.internals import ArcMesh, Interval, PhaseStructure, Scheme, Switches, detect_phase_structure
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go

@@ -21,7 +21,7 @@ from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
 from gnc_opt.planning.refinement import best_solution_selection
 from gnc_opt.planning.refinement.best_solution_selection import (
     Candidate,
-    _describe_better_coarse_solve,
+    _describe_lower_cost_on_coarse_mesh,
     select_best_candidate,
 )
 from problems.classics import van_der_pol
@@ -205,10 +205,7 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
     """No mesh is refined afterwards, and what is returned is no worse than what was given."""
     start = go.solve(van_der_pol.build(), tol=None)  # three passes
     interrupt_after(
-        count,
-        monkeypatch,
-        "gnc_opt.planning.refinement.arcs.switching_time_optimization",
-        "record_iteration",
+        count, monkeypatch, "gnc_opt.planning.refinement.arcs.switching_time_optimization", "record_iteration"
     )
     module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
@@ -364,7 +361,8 @@ def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
 def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
     found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
     assert (
-        select_best_candidate(found, tol=1e-8) == 1 and _describe_better_coarse_solve(found, found[1]) == hint
+        select_best_candidate(found, tol=1e-8) == 1
+        and _describe_lower_cost_on_coarse_mesh(found, found[1]) == hint
     )
 
 

@@ -106,7 +106,7 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
 
 
 def test_midpoints_before_nodes_and_at_the_ends() -> None:
-    find = ContactNodes._compute_midpoint_before_node
+    find = ContactNodes._compute_midpoint_to_previous_node
     own = fake(times=np.array([1.0, 2.0, 4.0]))
     assert [find(own, node, 0.0) for node in (1, 2)] == [1.5, 3.0]
     assert (find(own, 0, 0.5), find(own, 0, -0.5)) == (0.5, 1.0)

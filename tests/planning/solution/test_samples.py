@@ -199,7 +199,7 @@ def test_violations_are_peaks_found_between_samples() -> None:
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:
-    assert limits._find_highest_excess_peaks(
+    assert limits._select_largest_violation_peaks(
         np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
     ).tolist() == [5, 4, 6, 0, 3, 1]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)

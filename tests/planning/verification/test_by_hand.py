@@ -28,7 +28,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
 )
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
-    _find_costate_breaks,
+    _choose_adjoint_shooting_nodes,
     _mask_adjoint_multipliers,
     _mask_adjoint_rows,
     _sample_trajectory_variables,
@@ -50,8 +50,8 @@ from gnc_opt.planning.verification.critical_cone import (
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
-    _describe_variation_location,
-    _describe_zero_curvature,
+    _describe_largest_variation_component,
+    _explain_inconclusive_curvature,
     build_critical_cone,
 )
 from gnc_opt.planning.verification.singular_arcs import (
@@ -390,7 +390,8 @@ def test_costates_begin_anew_after_a_growth_of_ten_thousand(rate: float, expecte
             return np.array([t])
 
     fitted: Any = SimpleNamespace(x=Ramp(), u=Ramp())
-    np.testing.assert_array_equal(_find_costate_breaks(problem, "leg", fitted, np.zeros(0)), expected)
+    nodes = _choose_adjoint_shooting_nodes(problem, "leg", fitted, np.zeros(0))
+    np.testing.assert_array_equal(nodes, expected)
 
 
 @pytest.mark.parametrize("restarts", [[], [1], [2], [2, 1]])
@@ -560,21 +561,21 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     direction = np.full(transcription.n_variables, 0.1)
     direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
     time = 2.0 + 4.0 * collocation.normalised_point_times[5]
-    assert _describe_variation_location(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    describe = _describe_largest_variation_component
+    assert describe(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
     direction[transcription.parameter_places] = -1.0
-    assert (
-        _describe_variation_location(point, solution, direction)
-        == transcription.variable_labels[transcription.parameter_places[0]]
-    )
+    label = transcription.variable_labels[transcription.parameter_places[0]]
+    assert describe(point, solution, direction) == label
 
 
 def test_doubt_says_whether_it_is_flat() -> None:
     for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
         curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
-        assert ("cannot be distinguished from zero" in _describe_zero_curvature(curvature, 1e-4)) is flat
-    assert "cannot be distinguished from zero" in _describe_zero_curvature(
-        Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4
-    )
+        text = _explain_inconclusive_curvature(curvature, 1e-4)
+        assert ("cannot be distinguished from zero" in text) is flat
+    curvature = Curvature(-5e-4, -1e-7, np.zeros(1), 0.0)
+    text = _explain_inconclusive_curvature(curvature, 1e-4)
+    assert "cannot be distinguished from zero" in text
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert (
         up.is_positive and not replace(up, value=5e-7).is_positive and not replace(up, share=5e-7).is_positive

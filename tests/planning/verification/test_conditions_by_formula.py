@@ -105,10 +105,10 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
-    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 0.5]), at)
+    distances = feasibility._compute_distances_to_limits(s, own, limits, np.array([2.0, 0.5]), at)
     np.testing.assert_allclose(distances, [2.0 / np.hypot(12, 4), 0.0])
     unreached = np.array([0.0, 1.0]), x, u
-    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 3.0]), unreached)
+    distances = feasibility._compute_distances_to_limits(s, own, limits, np.array([2.0, 3.0]), unreached)
     np.testing.assert_allclose(distances, [np.inf, (3.0 - 1e12 * ROUNDING) / np.hypot(6, 3)])
 
 
@@ -264,10 +264,10 @@ def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPat
         x=lambda t: np.array([[4.0, 4.0]]),
     )
     s = fake(leg=leg, **described())
-    worst = costates._check_state_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    worst = costates._check_costate_jumps_at_state_bounds(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(2 * 5 / 5), "t=1 impulse on q")
     leg.x = lambda t: np.array([[10.0, 4.0]])
-    worst = costates._check_state_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    worst = costates._check_costate_jumps_at_state_bounds(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(1.5 * 4 / 5), "t=2 impulse on q")
 
 
@@ -330,7 +330,7 @@ def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
     np.testing.assert_allclose(controls.compute_hamiltonian_decrease_scales(s, own), [0.5, 1.25])
-    np.testing.assert_allclose(controls._compute_distance_to_minimum(s, own)[:, 0], [0.75, np.inf])
+    np.testing.assert_allclose(controls._compute_control_distance_to_minimum(s, own)[:, 0], [0.75, np.inf])
     worst = controls.check_control_stationarity([s], own, 1e-5)
     assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.75), "dH/du of a")
     worst = controls.check_control_stationarity([interior_controls([0.0, 3.0], [20.0, -1.0])], own, 1e-5)
@@ -396,7 +396,7 @@ def condition(name: str, result: Any, *, sufficient: bool = False, where: str = 
 
 
 def test_combined_conditions_take_the_decisive_part() -> None:
-    combine = optimality_check._combine_partial_conditions
+    combine = optimality_check._combine_optimality_conditions
     found = combine(
         "c", [condition("c", PASS), condition("d", FAIL, where="there"), condition("e", INCONCLUSIVE)]
     )
@@ -506,9 +506,9 @@ def test_change_of_the_cost_with_the_end_points() -> None:
         final_time={"leg": 0.25},
     )
     s = fake(leg=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
-    assert stored._find_largest_cost_change_at_ends(s, ends) == 6.0
+    assert stored._find_largest_endpoint_cost_change(s, ends) == 6.0
     ends.final_time["leg"] = -2.0
-    assert stored._find_largest_cost_change_at_ends(s, ends) == 8.0
+    assert stored._find_largest_endpoint_cost_change(s, ends) == 8.0
 
 
 def test_initial_states_that_equations_determine() -> None:
@@ -535,9 +535,9 @@ def test_initial_states_that_equations_determine() -> None:
 def test_the_worst_boundary_value_is_that_of_the_largest_share() -> None:
     """3 beyond the limit over 6, 2 below it over 0.5, or over a millionth of a value without radius."""
     arguments = interval([0.0, 1.0], [0.0, 2.0]), round_ellipsoid(6.0, 0.5), ["a", "b"], ["m", ""]
-    worst = feasibility._find_boundary_error(np.array([3.0, -1.0]), *arguments)
+    worst = feasibility._find_largest_boundary_error(np.array([3.0, -1.0]), *arguments)
     assert (worst.value, worst.where) == (pytest.approx(np.hypot(0.5, 4)), "b off by 2")
-    worst = feasibility._find_boundary_error(
+    worst = feasibility._find_largest_boundary_error(
         np.array([3.0, -1.0]), arguments[0], round_ellipsoid(0.0, 0.5), *arguments[2:]
     )
     assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "a off by 3 m")
@@ -624,7 +624,10 @@ def test_angles_beyond_a_full_turn_and_their_slack() -> None:
         ([0.0, 4 + 5e-6], True),
         ([-5e-6, 2.0], True),
     ):
-        assert external._exceeds_full_turn_bounds(problem, twin, {"leg": fake(u=np.array([u]))}) is beyond
+        assert (
+            external._do_angles_exceed_full_turn_bounds(problem, twin, {"leg": fake(u=np.array([u]))})
+            is beyond
+        )
 
 
 def test_samples_of_variables_that_another_model_has_as_states() -> None:
@@ -715,9 +718,7 @@ def test_terms_of_a_sum() -> None:
 def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gradients (3, -1) of the end cost, (2, 1) along the phase, (1, 0) of atoms; p is free, q at its upper bound."""
     monkeypatch.setattr(
-        costates,
-        "_compute_impulse_gradients",
-        lambda s, ends: np.array([[0.25, 0.75], [0.0, 0.0]]),
+        costates, "_compute_contact_parameter_gradients", lambda s, ends: np.array([[0.25, 0.75], [0.0, 0.0]])
     )
     monkeypatch.setattr(costates, "compute_parameter_scales", lambda solution: np.ones(2))
     density = np.array([[1.0, 3.0], [0.5, 1.5]])

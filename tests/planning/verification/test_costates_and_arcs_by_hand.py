@@ -26,10 +26,10 @@ from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     _compute_switching_sign_violation,
-    _find_zero_without_sign_change,
+    _find_switching_function_touching_zero,
 )
 from gnc_opt.planning.verification.costate_conditions import (
-    _check_state_bound_impulses,
+    _check_costate_jumps_at_state_bounds,
     _check_time_transversality,
     check_adjoint_equation,
     check_complementarity,
@@ -85,7 +85,7 @@ def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: fl
         breaks=(0.0, 1.0, 3.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
     )
-    found = _find_zero_without_sign_change(s)
+    found = _find_switching_function_touching_zero(s)
     assert found == ("" if above else "phase leg, t = 1 s, u: zero between switches")
 
 
@@ -774,7 +774,7 @@ def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: f
         states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
     )
-    found = _check_state_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
+    found = _check_costate_jumps_at_state_bounds(s, given_scales([s], cost=4.0, radius=3.0))
     assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"
 
@@ -786,11 +786,11 @@ def test_impulses_need_the_limit_that_exerts_them() -> None:
         impulses[0, [0, 1, 2]] = 7.0, impulse, 7.0  # those at the ends are for transversality
         limits = by_hand.interval([1.25, -99.0], [1.5, 99.0])
         s = drift(drifting(), state_impulses=impulses, state_bounds=limits)
-        assert _check_state_bound_impulses(s, given_scales([s], 4.0)).value == pytest.approx(
+        assert _check_costate_jumps_at_state_bounds(s, given_scales([s], 4.0)).value == pytest.approx(
             2.0 * room / 4.0, abs=1e-12
         )
     lone = drift(drifting(), breaks=(0.0, 2.0), state_impulses=np.full((2, 2), 5.0))
-    assert _check_state_bound_impulses(lone, given_scales([lone])).value == 0.0
+    assert _check_costate_jumps_at_state_bounds(lone, given_scales([lone])).value == 0.0
 
 
 @pytest.mark.parametrize("name", ["mixed", "pure", "u", "x[0]"])

@@ -110,12 +110,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("compare_costates", NOTHING, "i")
     names = ("dynamics", "limits", "boundary conditions", "cost")
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
-    functions = (
-        "check_dynamics",
-        "check_limits",
-        "check_boundary_conditions",
-        "check_reported_cost",
-    )
+    functions = ("check_dynamics", "check_limits", "check_boundary_conditions", "check_reported_cost")
     for function, value in zip(functions, made, strict=True):
         monkeypatch.setattr(check.feasibility, function, lambda *_, v=value: v)
     result("check_stored_data", condition("stored numbers"))
@@ -127,7 +122,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("find_concave_kink", state["concave"], "c")
     result("attains_lower_bound", state["least"], "b")
     second = [condition(n, v, sufficient=True) for n, v in zip(check._SECOND, state["second"], strict=True)]
-    result("_check_second_order_and_switching", lambda: list(second), "s")
+    result("_check_second_order_and_switching_times", lambda: list(second), "s")
     result("_check_singular_arcs", list, "a")
     result("_is_solution_unique", state["unique"], "u")
     result("find_nonsmooth_point", state["rough"], "n")
@@ -169,7 +164,7 @@ def curvature(value: float, share: float = 1.0, gain: float = 1.0, sign: float =
 def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s == "partly")
     monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "jumps")
-    monkeypatch.setattr(reduced_hessian, "_describe_variation_location", lambda *_: "place")
+    monkeypatch.setattr(reduced_hessian, "_describe_largest_variation_component", lambda *_: "place")
 
     def found(
         free: Any, bound: Any = None, end: Any = ("", np.inf), s: str = "s", **given: Any
@@ -300,13 +295,13 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",
     )
-    assert controls._find_least_sustained_eigenvalue(s, np.ones((2, 8), dtype=bool)) == (
+    assert controls._find_least_control_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool)) == (
         -np.inf,
         "sample 4",
     )
     np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
     bases[:] = bases[6:] * 4
-    assert controls._find_least_sustained_eigenvalue(s, np.ones((2, 8), dtype=bool))[1] is None
+    assert controls._find_least_control_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool))[1] is None
 
 
 def test_multipliers_nearest_to_those_of_a_solution() -> None:

@@ -24,11 +24,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
     compute_integral_scales,
 )
-from gnc_opt.planning.optimality.kkt_system import (
-    NullSpace,
-    are_extreme_eigenvalues_converged,
-    run_lanczos,
-)
+from gnc_opt.planning.optimality.kkt_system import NullSpace, are_extreme_eigenvalues_converged, run_lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.optimality.switching_time_problem import Switches, _find_switching_function_zeros
@@ -47,7 +43,7 @@ from gnc_opt.planning.verification import external_trajectory_check, feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
-    _find_worst_switching_sign,
+    _find_worst_switching_function_sign,
     estimate_nearest_multipliers,
 )
 from gnc_opt.planning.verification.external_trajectory_check import (
@@ -56,9 +52,9 @@ from gnc_opt.planning.verification.external_trajectory_check import (
     _remove_every_second_sample,
     _split_vector_controls,
 )
-from gnc_opt.planning.verification.feasibility import _find_interval_violation
+from gnc_opt.planning.verification.feasibility import _find_largest_bound_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
+from gnc_opt.planning.verification.reduced_hessian import _find_direction_of_least_curvature
 from gnc_opt.planning.verification.stored_data_check import (
     find_nonfinite_stored_value,
     get_end_gradients,
@@ -161,7 +157,7 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
             breaks=edges,
             control_bounds=by_hand.interval(-1.0, 1.0),
         )
-        worst = _find_worst_switching_sign(s)
+        worst = _find_worst_switching_function_sign(s)
         assert worst is not None and worst.where == "phase leg, t = 1 s, u"
         assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
 
@@ -196,14 +192,14 @@ def test_least_direction_where_everything_curves_downwards() -> None:
     hessian = scipy.sparse.csc_array(np.diag([-3.0, -2.0, -5.0]))
     every = scipy.sparse.eye_array(3, format="csc")
     space = NullSpace(every, np.zeros(0, dtype=int), np.ones(0), scipy.sparse.csc_array((0, 3)))
-    direction = _find_least_curvature(space, hessian)
+    direction = _find_direction_of_least_curvature(space, hessian)
     assert direction is not None
     # 1 / (-2 + 0.1) is the most negative: a curvature is found, not the least one; it is negative all the same.
     np.testing.assert_allclose(np.abs(direction), [0.0, 1.0, 0.0], atol=1e-6)
-    up = _find_least_curvature(space, scipy.sparse.csc_array(np.diag([3.0, 2.0, 5.0])))
+    up = _find_direction_of_least_curvature(space, scipy.sparse.csc_array(np.diag([3.0, 2.0, 5.0])))
     assert up is not None
     np.testing.assert_allclose(np.abs(up), [0.0, 1.0, 0.0], atol=1e-3)
-    assert _find_least_curvature(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
+    assert _find_direction_of_least_curvature(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
 
 
 def test_two_jumps_are_movable_in_their_order() -> None:
@@ -245,21 +241,16 @@ def test_misses_are_reported_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
-    worst = _find_interval_violation(values, box, scale, ["a", "b"], ["m", "kg"])
+    find = _find_largest_bound_violation
+    worst = find(values, box, scale, ["a", "b"], ["m", "kg"])
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
-    assert _find_interval_violation(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
-    assert (
-        _find_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where
-        == "no violation"
-    )
-    gone = _find_interval_violation(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
+    assert find(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
+    assert find(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "no violation"
+    gone = find(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
     assert gone.value == np.inf and gone.where.startswith("b off by")
-    assert (
-        _find_interval_violation(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value
-        == 0.0
-    )
+    assert find(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
     zero = Interval(np.ones(1), np.ones(1))
-    assert _find_interval_violation(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
+    assert find(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
 
 
 @pytest.mark.parametrize(
@@ -279,7 +270,7 @@ def test_an_end_value_is_off_in_shares_of_its_reach(
     """a = 1e6 m with the reach 2 m, b = 3 with the reach 0.5."""
     box = Interval(np.array([1e6, 3.0]), np.array([1e6, 3.0]))
     reach = Ellipsoid(np.array([2.0, 0.5]), np.eye(2), np.ones(2))
-    found = feasibility._find_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
+    found = feasibility._find_largest_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
     assert found.where == where and found.value == pytest.approx(share, rel=1e-3)
 
 

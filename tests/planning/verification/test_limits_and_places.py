@@ -511,10 +511,7 @@ def test_a_range_of_starts_is_kept_in_a_moving_frame(start: float, ok: bool) -> 
     problem.minimize(leg.integral(model.symbol("a") ** 2))
     t = np.linspace(0, lasts, 61)
     s = t / lasts
-    x = {
-        "x": speed * t + start + way * (3 * s**2 - 2 * s**3),
-        "v": speed + way * (6 * s - 6 * s**2) / lasts,
-    }
+    x = {"x": speed * t + start + way * (3 * s**2 - 2 * s**3), "v": speed + way * (6 * s - 6 * s**2) / lasts}
     verdict = go.verify_trajectory(problem, t, x, {"a": way * (6 - 12 * s) / lasts**2})
     assert verdict.ok is ok, verdict.explain()
 

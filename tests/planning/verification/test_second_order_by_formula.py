@@ -44,7 +44,7 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
             ),
         )
         columns = np.array([*directions, *(-np.array(d) for d in directions)], dtype=float).T
-        return variations.ShiftedTrajectory._compute_second_order_decrease(
+        return variations.ShiftedTrajectory._compute_second_order_cost_decrease(
             own, columns, np.full(columns.shape[1], terms), np.array(steps)
         )
 
@@ -92,14 +92,13 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
+    find = reduced_hessian._find_negative_curvature_direction
     for least, found in ((-1.1e4, True), (-0.9e4, False)):
         hessian = scipy.sparse.diags_array([3.0, least, 2e4, 1.0])
-        direction = reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: v), hessian)
+        direction = find(fake(projection_operator=lambda v: v), hessian)
         assert (direction is not None) is found
-    assert (
-        reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: 0 * v), hessian) is None
-    )
-    direction = reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: v), -hessian)
+    assert find(fake(projection_operator=lambda v: 0 * v), hessian) is None
+    direction = find(fake(projection_operator=lambda v: v), -hessian)
     np.testing.assert_allclose(np.abs(direction), [0.0, 0.0, 1.0, 0.0], atol=1e-9)
 
 
@@ -130,7 +129,7 @@ def test_goh_variables_of_a_phase_replace_its_singular_control(
     monkeypatch.setattr(goh, "compute_variation_norm_weights", lambda transcription: np.full(12, 0.25))
     monkeypatch.setattr(goh, "_find_undetermined_singular_segments", lambda cone, s: singular)
     monkeypatch.setattr(goh, "_list_junction_time_variables", lambda s, part, singular: np.array([11]))
-    monkeypatch.setattr(goh, "_build_control_integral_variations", lambda *_: (block, np.array([8, 9])))
+    monkeypatch.setattr(goh, "_build_integrated_control_variations", lambda *_: (block, np.array([8, 9])))
     monkeypatch.setattr(goh, "_find_states_driven_by_controls", lambda s, i: np.array([0]))
     monkeypatch.setattr(goh, "replace", lambda cone, **changes: fake(**changes))
     nodes, mesh = np.arange(6).reshape(2, 3), fake(segment_widths=np.array([0.36, 0.64]))
@@ -160,7 +159,7 @@ def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     )
     rule = get_collocation_rule("LG", 4)
     collocation = fake(mesh=mesh, collocation_rules=(rule,) * 3, point_controls=np.arange(2, 14)[None])
-    block, places = goh._build_control_integral_variations(
+    block, places = goh._build_integrated_control_variations(
         20, fake(collocation=collocation), 0, np.array([True, True, False])
     )
     np.testing.assert_array_equal(places, np.arange(2, 10))
@@ -193,7 +192,9 @@ def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
     hessian[0, 2] = hessian[2, 0] = [3.0, 1.0]
     hessian[2, 2] = 2.0
     s = fake(control_scale=np.array([2.0, 1.0, 5.0]), control_hessian=hessian, hamiltonian_scale=8.0)
-    least = singular_arcs._compute_singular_curvature(s, np.array([0]), np.array([2]), np.array([0, 1]))
+    least = singular_arcs._compute_singular_hamiltonian_curvature(
+        s, np.array([0]), np.array([2]), np.array([0, 1])
+    )
     assert least == pytest.approx(-(3.0**2) / 2.0 * 2.0**2 / 8.0)
 
 

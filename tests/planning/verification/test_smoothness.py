@@ -12,7 +12,7 @@ import gnc_opt as go
 from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.verification.nonsmooth_points import (
     KinkPoint,
-    _find_sliding_on_kink,
+    _find_longest_interval_on_kink,
     mark_theorem_inapplicable,
 )
 
@@ -305,8 +305,8 @@ def test_the_longest_rest_on_a_kink_in_shares_of_the_phase(
     s: Any = SimpleNamespace(weights=np.full(4, 2.0), span=8.0, describe_sample=lambda j: f"sample {j}")
     kinks: Any = SimpleNamespace(is_state_dependent=np.array(of_states), words=("a", "b"))
     values = np.array([[5.0, 0.0, 2e-6, 9.0], [1.0, -1.0, 1.0, 9e-7]])
-    found = _find_sliding_on_kink(s, kinks, values)
+    found = _find_longest_interval_on_kink(s, kinks, values)
     begin = {"a": 1, "b": 3}[word]
     where = f"from sample {begin}: stays on the kink of {word}, {100 * share:.1f} % of the phase"
     assert found == KinkPoint(share, where, False, any(of_states))
-    assert _find_sliding_on_kink(s, kinks, values + 1e-4) is None
+    assert _find_longest_interval_on_kink(s, kinks, values + 1e-4) is None

@@ -23,7 +23,7 @@ from gnc_opt.planning.verification.switching_time_variations import (
     Jump,
     ShiftedTrajectory,
     _draw_unit_directions,
-    _find_end_preserving_directions,
+    _find_directions_keeping_end_conditions,
     _has_active_limits,
     _list_free_variations,
     _scale_active_limit_changes,
@@ -398,7 +398,7 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         state_multiplier=lambda t: stack(5.0, 7 * t),
     )
     functions: Any = SimpleNamespace(
-        evaluate_rates_paths_and_integrands=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t),
+        evaluate_rates_paths_and_integrands=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t)
     )
     phase: Any = SimpleNamespace(
         samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True
@@ -418,7 +418,7 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
 
 def test_directions_that_keep_the_ends_are_shifts_with_their_corrections() -> None:
     """Ends 2 s + 4 r + k and h, which no shift moves: s and r in steps that move the ends alike, k corrects them."""
-    found = _find_end_preserving_directions(
+    found = _find_directions_keeping_end_conditions(
         np.array([[2.0, 4.0], [0.0, 0.0]]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     )
     alone = found[:, 2:]

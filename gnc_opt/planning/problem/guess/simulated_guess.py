@@ -134,7 +134,7 @@ def guess_from_simulation(
     def evaluate_rates(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
-    stop = None if until is None else _build_stop_event(problem, selected, until)
+    stop = None if until is None else _build_simulation_stop_event(problem, selected, until)
     sizes = replace_tiny_divisors_by_one(
         np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1]))
     )
@@ -225,7 +225,9 @@ def _build_clipped_control_law(
     return evaluate_control_law
 
 
-def _build_stop_event(problem: Problem, phase: Phase, until: Any) -> Callable[[float, Array], float]:
+def _build_simulation_stop_event(
+    problem: Problem, phase: Phase, until: Any
+) -> Callable[[float, Array], float]:
     what = "the until= expression of guess_from_simulation()"
     function = _compile_expression(problem, phase, convert_to_sx_column(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])

@@ -28,13 +28,13 @@ def with_curved_guess(problem: P) -> P:
         if find_nonfinite_function_at_guess(problem, phase) is None:
             continue
         twin = problem.clone()
-        twin.phases[name].guess(**_build_curved_guess(phase))
+        twin.phases[name].guess(**_add_sine_to_state_guess(phase))
         if find_nonfinite_function_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
 
-def _build_curved_guess(phase: Phase) -> dict[str, Any]:
+def _add_sine_to_state_guess(phase: Phase) -> dict[str, Any]:
     start, layout, box = build_phase_guess(phase, FRACTIONS), phase.model.states, phase.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))

@@ -87,7 +87,10 @@ def replace_algebraic_variables(problem: P) -> P:
     """Return a problem with algebraic variables as states; the same problem if it has none."""
     found = []
     for name, phase in problem.phases.items():
-        forms = problem.memoize(("algebraic", name), lambda phase=phase: list(_find_algebraic_forms(phase)))  # type: ignore[misc]
+        forms = problem.memoize(
+            ("algebraic", name),
+            lambda phase=phase: list(_find_algebraic_variables(phase)),  # type: ignore[misc]
+        )
         needed = [form for form in forms if form.is_conversion_to_state_needed(phase)]
         found += [(name, form) for form in needed if form.is_rate_finite_at_guess(problem, phase)]
     if not found:
@@ -100,7 +103,7 @@ def replace_algebraic_variables(problem: P) -> P:
     return twin
 
 
-def _find_algebraic_forms(phase: Phase) -> Iterator[AlgebraicVariable]:
+def _find_algebraic_variables(phase: Phase) -> Iterator[AlgebraicVariable]:
     model = phase.model
     t, x, _, _ = model.arguments()
     rate = model.derivative()

@@ -57,7 +57,9 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         box = find_nonimplied_bounds(problem, phase)
         signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (form := problem.memoize(("form", *key), partial(_find_norm_substitution, phase))) is not None:
+        while (
+            form := problem.memoize(("form", *key), partial(_find_vector_norm_substitution, phase))
+        ) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
             key = _reformulate_kinks_of_kind(problem, phase, key, kind)
@@ -78,7 +80,7 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     return form.cache_key if form.texts else ()
 
 
-def _find_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
+def _find_vector_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
     names = find_norm_vector(phase)
     if names is None:
         return UnitVectorSubstitution.find_first_unit_vector(phase)

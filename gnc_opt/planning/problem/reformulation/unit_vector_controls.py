@@ -97,11 +97,11 @@ def _find_unit_vectors(phase: Phase) -> Iterator[tuple[str, str, str]]:
         for v in layout.variables if unit else ():
             whole = places == [*layout.indices(v.name)]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
-                for magnitude in _find_magnitude_controls(phase, v.name, label):
+                for magnitude in _find_magnitudes_of_unit_vector(phase, v.name, label):
                     yield v.name, magnitude, label
 
 
-def _find_magnitude_controls(phase: Phase, name: str, label: str) -> Iterator[str]:
+def _find_magnitudes_of_unit_vector(phase: Phase, name: str, label: str) -> Iterator[str]:
     """Yield the magnitudes of a unit vector: controls >= 0, its only factors, which also occur without it."""
     layout, vector = phase.model.controls, ca.SX(phase.model.symbol(name))
     others = [c.expression for other, c in phase.paths.items() if other != label]

@@ -212,7 +212,9 @@ class NormSubstitution(ReformulatedPhase):
             text += f", whose magnitude {' and '.join(map(repr, found.labels))} limit{'s' * (len(found.labels) == 1)}"
         return cls(
             old.express_in_other_controls(
-                controls, _build_composed_vector_controls(old, names, control, product), substitute_norm
+                controls,
+                _compose_vectors_from_norm_and_direction(old, names, control, product),
+                substitute_norm,
             ),
             paths | {label: phase.paths[label] for label in lengths},
             {name: (symbol, substitute_norm(e)) for name, (symbol, e) in phase.integrands.items()},
@@ -227,7 +229,7 @@ class NormSubstitution(ReformulatedPhase):
     def reformulate_phase(self, problem: ProblemData, phase: Phase) -> tuple[str, ...]:
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = phase.clone(), phase.numbers, self.control.magnitude
-        rows = self._build_component_constraints(stated)
+        rows = self._constrain_vector_components(stated)
         boxes = split_bounds_by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
@@ -246,7 +248,7 @@ class NormSubstitution(ReformulatedPhase):
         phase.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
 
-    def _build_component_constraints(self, stated: Phase) -> dict[str, Constraint]:
+    def _constrain_vector_components(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
         boxes = split_bounds_by_name(stated.numbers.controls, stated.model.controls)
         box = stack_intervals(boxes[name] for name in self.names)
@@ -257,7 +259,7 @@ class NormSubstitution(ReformulatedPhase):
         upper = np.where(box.upper >= most, np.inf, box.upper)
         for i in np.flatnonzero(np.isfinite(lower) | np.isfinite(upper)):
             name, limits = f"bounds of {labels[i]}", Interval(lower[[i]], upper[[i]])
-            row = _divide_cone_by_magnitude(self.product[int(i)], limits, magnitude)
+            row = _divide_cone_constraint_by_magnitude(self.product[int(i)], limits, magnitude)
             rows[name] = Constraint(name, row, limits)
         return rows
 
@@ -279,7 +281,7 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     return name, Symbol(magnitude), Symbol(Variable(labels[1], size, "", (1.0,) * size))
 
 
-def _build_composed_vector_controls(
+def _compose_vectors_from_norm_and_direction(
     model: Model, names: Names, control: VectorControl, product: Any
 ) -> list[tuple[ComposedControl, Any]]:
     found, first = list[tuple[ComposedControl, Any]]([(control, product)]), 0
@@ -334,7 +336,7 @@ def _reformulate_path_constraints(
     paths: dict[str, Constraint] = {}
     on_sphere = False
     for row in rows:
-        expression = _divide_cone_by_magnitude(express(row.expression), row.interval, magnitude)
+        expression = _divide_cone_constraint_by_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _is_satisfied_by_shorter_vectors(expression, magnitude, row.interval)
             expression = _linearise_squared_magnitude_limit(expression, row.interval, magnitude)
@@ -342,7 +344,7 @@ def _reformulate_path_constraints(
     return paths, on_sphere
 
 
-def _divide_cone_by_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _divide_cone_constraint_by_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
     """Return a row with zero limits (a cone), divided by the magnitude if that is a factor."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)

@@ -221,7 +221,10 @@ class ArcMesh:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
-            junctions=(*self._find_contact_junctions(), *self._find_segment_end_junctions(problem, phase)),
+            junctions=(
+                *self._find_contact_junctions(),
+                *self._list_junctions_at_segment_ends(problem, phase),
+            ),
         )
 
     def _find_contact_junctions(self) -> tuple[Junction, ...]:
@@ -250,7 +253,7 @@ class ArcMesh:
             for k, i, kind, conditions, tangent in found
         )
 
-    def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+    def _list_junctions_at_segment_ends(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
 
         Between Gauss points the constraint may deviate by a polynomial that vanishes at these points. With two controls

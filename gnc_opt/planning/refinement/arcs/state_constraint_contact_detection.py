@@ -73,13 +73,13 @@ class ContactNodes:
         if order == 1:
             held[1:-1] |= held[:-2] & held[2:]  # a boundary of the mesh may have no multiplier
         for a, b in find_true_value_intervals(held):
-            at_end = self._find_touched_phase_end(structure, a, b, samples)
+            at_end = self._find_phase_end_with_touch_point(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
                 continue
             if order == 1:
-                start = self._compute_midpoint_before_node(a, first)
-                end = self._compute_midpoint_before_node(b, last)
+                start = self._compute_midpoint_to_previous_node(a, first)
+                end = self._compute_midpoint_to_previous_node(b, last)
                 entry = self._find_nearby_switch_time(structure, start, samples, 0)
                 exit_ = self._find_nearby_switch_time(structure, end, samples, 1)
                 start, end = (entry, exit_) if entry < exit_ else (start, end)
@@ -91,7 +91,7 @@ class ContactNodes:
                 structure = structure.with_touch_point(self.row, time, self.kind)
         return structure
 
-    def _find_touched_phase_end(
+    def _find_phase_end_with_touch_point(
         self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples
     ) -> int | None:
         """Return the end of the phase, 0 or -1, at which free states touch a path constraint, or None.
@@ -110,7 +110,7 @@ class ContactNodes:
 
     def is_touch_at_phase_end(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Return whether the multipliers stem from the interior-point barrier next to a touched end of the phase."""
-        end = self._find_touched_phase_end(structure, 0, self.times.size, samples)
+        end = self._find_phase_end_with_touch_point(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
@@ -141,7 +141,7 @@ class ContactNodes:
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
-    def _compute_midpoint_before_node(self, node: int, end: float) -> float:
+    def _compute_midpoint_to_previous_node(self, node: int, end: float) -> float:
         """Return the midpoint between a node and the previous one; for the first node, an adjacent end of the phase."""
         times = self.times if node == 0 else self.times[::-1]
         if 0 < node < times.size:

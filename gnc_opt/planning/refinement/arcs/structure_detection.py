@@ -65,7 +65,7 @@ def detect_phase_structure(
         for i in range(phase.controls.size)
     ]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-    effects = _find_mixed_constraint_effects(samples, regular, slopes)
+    effects = _find_control_signs_in_mixed_constraints(samples, regular, slopes)
     mixed = np.array([bool(own) for own in effects], dtype=bool)
     paths = _classify_path_constraint_arcs(samples, mixed, np.any(slopes != 0, axis=2))
     for i in limits.rows:
@@ -207,7 +207,7 @@ def _classify_nonlinear_control_arcs(samples: PhaseSamples, i: int, short: float
     return labels
 
 
-def _find_mixed_constraint_effects(
+def _find_control_signs_in_mixed_constraints(
     samples: PhaseSamples, regular: Mask, slopes: Array
 ) -> list[tuple[ControlEffect, ...]]:
     """Return the controls of each mixed path constraint with the signs of its slopes in them, 0 if they change.

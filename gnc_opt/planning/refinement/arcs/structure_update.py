@@ -79,7 +79,7 @@ def correct_arc_structure(
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, c in constraints.items():
-        structure, action = _add_missing_arc(c.samples, plans[name])
+        structure, action = _insert_arc_at_sign_violation(c.samples, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].extend_control_structure(structure)}, action
     return plans, ""
@@ -118,17 +118,17 @@ def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> tuple[Phas
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _add_missing_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
     subarcs = plan.segment_subarc_indices[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[:, subarcs]
-    violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
+    violation, asked = _compute_sign_and_bound_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
         clear_violations_near_switches(violation[i], kinds[i])
-    return _add_most_severe_arc(samples, plan.structure, violation, asked)
+    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
-def _add_most_severe_arc(
+def _insert_arc_at_largest_violation(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc at the largest violation and the action, or None without a violation."""
@@ -144,7 +144,7 @@ def _add_most_severe_arc(
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
-def _compute_structure_violations(
+def _compute_sign_and_bound_violations(
     samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
 ) -> tuple[Array, KindArray]:
     """Return the violation of each control and path constraint (n_rows, n_samples), and the kind that removes it.
@@ -200,7 +200,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
     asked = select_arc_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
-    return _add_most_severe_arc(samples, plan.structure, violation, asked)
+    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
 def clear_violations_near_switches(violation: Array, kinds: KindArray | Array) -> None:
@@ -286,7 +286,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
         times = here[::-1] if subarc < boundary else here
 
         def evaluate_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
-            excess, slopes = _evaluate_limit_excess(samples, direction, side, t)
+            excess, slopes = _evaluate_limit_excess_and_multiplier(samples, direction, side, t)
             return direction * (excess if subarc == interior else slopes)
 
         over = evaluate_violation(times)[row] > 0
@@ -299,7 +299,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     return plan.structure.times[boundary]
 
 
-def _evaluate_limit_excess(
+def _evaluate_limit_excess_and_multiplier(
     samples: PhaseSamples, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """Return controls minus limits and switching functions, then path constraints minus limits and -multipliers."""

@@ -112,7 +112,7 @@ class SwitchedFlow:
             lam_start=self.costates[:, at[:, 0]],
             lam_end=self.costates[:, at[:, -1]],
         )
-        return _complete_trajectory(known, found, self.step, self.step.flow)
+        return _build_solution_from_bang_bang_flow(known, found, self.step, self.step.flow)
 
     @cached_property
     def find_missing_arc(self) -> tuple[int, float, float] | None:
@@ -192,14 +192,14 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         lam_end=lam[:, steps::steps],
     )
     return replace(
-        _complete_trajectory(known, found, flight.step, flow),
+        _build_solution_from_bang_bang_flow(known, found, flight.step, flow),
         structure=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{phase.name} {mesh}"},
     )
 
 
-def _complete_trajectory(
+def _build_solution_from_bang_bang_flow(
     known: Solution, phase: PhaseSolution, step: SwitchStep, flow: BangBangFlow
 ) -> Solution:
     """Return a one-phase solution with the trajectory of a phase and the costs of its flow, without active limits."""

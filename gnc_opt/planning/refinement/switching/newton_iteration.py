@@ -119,7 +119,7 @@ def _iterate_to_optimal_switches(
             switches = _shift_switches(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or (rested and _are_switches_close(flight.switches, rested.switches)):
+            if flight is None or (rested and _are_switching_times_close(flight.switches, rested.switches)):
                 break
             if flight.find_missing_arc is None:
                 return flight
@@ -242,7 +242,7 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _are_switches_close(switches: Switches, others: Switches) -> bool:
+def _are_switching_times_close(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = max_norm(switches.times - others.times)
