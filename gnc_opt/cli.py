@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from gnc_opt.cli_commands import (
-    MAX_WORK_S,
     REFINE_TOLERANCE,
     ExitCode,
     run_check_command,
@@ -146,7 +145,7 @@ def _add_solve_subcommand_parser(commands: Any) -> None:
         action="store_true",
         help="stop when the estimated error of the objective is below --tol; skip the check",
     )
-    add("--limit", type=float, default=MAX_WORK_S, metavar="S", help="work limit in CPU seconds (default 25)")
+    add("--limit", type=float, metavar="S", help="work limit in CPU seconds (default: that of `solve`, 35)")
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
     add("--report", metavar="DIR", help="write report.html, the solution and figures to a folder")

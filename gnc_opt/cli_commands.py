@@ -36,9 +36,6 @@ if TYPE_CHECKING:
 REFINE_TOLERANCE = 1e-8
 """Default of --tol."""
 
-MAX_WORK_S = 60.0
-"""Default of --limit, from `RefinementLimits`."""
-
 
 class ExitCode(IntEnum):
     """Exit codes of the commands."""
@@ -71,7 +68,7 @@ def run_solve_command(args: argparse.Namespace) -> ExitCode:
             tol=args.tol,
             structure=args.structure,
             check=not args.fast,
-            limits=RefinementLimits(max_work=args.limit),
+            limits=RefinementLimits() if args.limit is None else RefinementLimits(max_work=args.limit),
             options=_read_solver_options(args),
             progress=not args.quiet,
             throw=False,

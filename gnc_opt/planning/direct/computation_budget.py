@@ -56,7 +56,7 @@ class RefinementLimits:
 
     max_passes: int = 40
     max_points: int = 2000
-    max_work: float = 25.0
+    max_work: float = 35.0
     max_wall_time: float | None = None
 
     def __post_init__(self) -> None:
