@@ -223,8 +223,8 @@ def multistart(
     within : float, optional
         Minima whose objective exceeds the best by more than this share stay on the coarse mesh.
     limits : RefinementLimits, optional
-        Limits of the refinement of the best minimum; default: those of `refine`. All minima are refined first, each
-        with the work divided by ``max_refined``; the best one again with all of it if it does not pass the check.
+        Limits of all refinements together; default: those of `refine`. All minima are refined first, each with half
+        of the work divided by ``max_refined``; the best one again with the other half if it does not pass the check.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, because the solver is not thread-safe.
     options : SolverOptions, optional
@@ -284,11 +284,12 @@ def multistart(
         if refine and not pool.interrupted:
             count = _count_minima_to_refine(minima, within)
             whole = limits or RefinementLimits()
-            each = replace(whole, max_work=whole.max_work / max(max_refined, 1))
+            half = replace(whole, max_work=0.5 * whole.max_work)
+            each = replace(half, max_work=half.max_work / max(max_refined, 1))
             refined = search.refine_minima(RefinementTask(structure, tol, each), minima[:count], max_refined)
             minima = list_distinct_minima([*refined, *minima[count:]])
             if minima and minima[0].check_result == "NOT ok":
-                best = search.refine_minima(RefinementTask(structure, tol, whole), minima[:1], 1)
+                best = search.refine_minima(RefinementTask(structure, tol, half), minima[:1], 1)
                 minima = list_distinct_minima([*best, *minima[1:]])
     return Multistart(
         stated.name,

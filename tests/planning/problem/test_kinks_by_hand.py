@@ -52,6 +52,7 @@ PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], float]] = {
         0.5,
     ),
     "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), 0.5),
+    "a term twice": (lambda x, v, a: ca.fabs(a) + (x * v + v), lambda a: abs(a) + 0.3, 0.0),
 }
 
 
@@ -64,7 +65,7 @@ def test_costs_with_a_corner_of_a_control_are_linear_in_its_parts(case: Any) -> 
     assert not any(ca.which_depends(leg.integrand_expression(), leg.model.symbols("control"), 2, True))
     for a in (-2.0, -0.7, 0.2, 0.9, 3.0):
         parts = np.concatenate(split.decompose_control_into_parts(np.array([[a]])))[:, 0]
-        assert at(leg, leg.integrand_expression(), [0, 0], parts) == pytest.approx(value(a))
+        assert at(leg, leg.integrand_expression(), [0, 0.3], parts) == pytest.approx(value(a))
         np.testing.assert_allclose(at(leg, leg.model.derivative(), [0, 0.3], parts), [0.3, a])
         assert split.compose_control_from_parts(*parts[:, None]) == pytest.approx(a)
     box = leg.numbers.controls

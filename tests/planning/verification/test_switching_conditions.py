@@ -892,6 +892,19 @@ def test_the_curvature_along_a_final_impulse_does_not_depend_on_the_unit_of_time
     assert values[0] > 1e-4 and values[0] == pytest.approx(values[1], rel=1e-9)
 
 
+@pytest.mark.parametrize(("square", "slope"), [(0.1, 1.0), (-0.1, -1.0)])
+def test_a_final_impulse_costs_the_same_in_every_frame(square: float, slope: float) -> None:
+    """x' = u with x = 2 ln(1 + y / 2): b x(T) less the integral of b u is constant, and no quadratic form in y."""
+    model, y, _z, u = dynamics("frame", "y z", "u", lambda y, z, u: {y: (1 + y / 2) * u, z: 0.1 * y})
+    problem, leg = one_phase("frame", model, 0.0, 1.0)
+    leg.initial(y=0.0, z=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    x, last = 2 * ca.log(1 + y / 2), 2 * ca.log(1 + leg.final_state("y") / 2)
+    problem.minimize(leg.integral(0.5 * x**2 - slope * u) + square * last**2 + slope * last)
+    result = verdict_at_rest(problem, 1.0)[NAME_GOH].result
+    assert result is (go.ConditionResult.PASS if square > 0 else go.ConditionResult.FAIL)
+
+
 def test_the_time_at_which_a_singular_arc_begins_is_no_variation_of_its_own() -> None:
     """u = -1 until x = 0, then 0, for least x^2 + c x^3: along x = 0 the second variation does not depend on c."""
     values = []
