@@ -42,7 +42,11 @@ from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Juncti
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import ConstraintOrder, get_constraint_order
+from gnc_opt.planning.problem.state_constraint_order import (
+    ConstraintOrder,
+    differentiate_until_controls_appear,
+    get_constraint_order,
+)
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
@@ -105,20 +109,14 @@ class StateConstraints:
     def _differentiate_constraint_by_control(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
         s, order = self.samples, self.get_contact_order(row)
-        distance = np.min(
-            [
-                np.abs(self.evaluate_constraints(s.times, s.x, s.u)[row] - at)
-                for _, at in self.list_finite_limits(row)
-            ],
-            axis=0,
-        )
+        values = self.evaluate_constraints(s.times, s.x, s.u)[row]
+        distance = np.min([np.abs(values - at) for _, at in self.list_finite_limits(row)], axis=0)
         near = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
         moved = u.copy()
         moved[control] += SMALL * s.control_scale[control]
-        return self.evaluate_time_derivative(row, order, times, x, moved) - self.evaluate_time_derivative(
-            row, order, times, x, u
-        )
+        before, after = (self.evaluate_time_derivative(row, order, times, x, v) for v in (u, moved))
+        return after - before
 
     def get_constraint_order(self, row: int) -> ConstraintOrder:
         return get_constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
@@ -248,15 +246,8 @@ def _build_constraint_rate_gradient_function(functions: PhaseFunctions, chosen: 
     numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]
     f = rates(t, x, u, lam, mu, *numbers)
     values = ca.vertcat(x, functions.functions["paths"](t, x, u, lam, mu, *numbers))
-    along, flow = ca.vertcat(t, x), ca.vertcat(1, f)
-    gradients = []
-    for i in chosen:
-        value = values[int(i)]
-        for _ in range(TOUCH_MAX_ORDER):
-            value = ca.jtimes(value, along, flow)
-            if ca.depends_on(value, u):
-                break
-        gradients.append(ca.densify(ca.jacobian(value, u)))
+    derived = (differentiate_until_controls_appear("", values[int(i)], t, x, u, f) for i in chosen)
+    gradients = [ca.densify(ca.jacobian(constraint.derivatives[-1], u)) for constraint in derived]
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
 
 

@@ -220,13 +220,12 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
     least = np.fmax(SPAN_MIN_SHARE * size, EQUAL * typical)
     radius, final = np.fmax(radius, least), np.fmax(final, least)
     initial = np.where(start > 0, start, np.fmax(initial, least))
+    with_integrals = np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))
     return (
         Ellipsoid.from_gramian(gramian.start, initial),
         Ellipsoid.from_gramian(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation
         Ellipsoid.from_gramian(gramian.end, final),
-        Ellipsoid.from_gramian(
-            gramian.whole, np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))
-        ),
+        Ellipsoid.from_gramian(gramian.whole, with_integrals),
     )
 
 

@@ -36,11 +36,8 @@ def average_violation_over_time(times: Array, violation: Array) -> Array:
     areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
     total = np.concatenate([np.zeros((violation.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
     middle = np.clip(times, times[0] + half, times[-1] - half)
-    means = [
-        (np.interp(middle + half, times, row) - np.interp(middle - half, times, row)) / (2 * half)
-        for row in total
-    ]
-    return np.asarray(np.reshape(means, violation.shape))
+    rises = [np.interp(middle + half, times, row) - np.interp(middle - half, times, row) for row in total]
+    return np.asarray(np.reshape(rises, violation.shape) / (2 * half))
 
 
 def remove_short_intervals_from_mask(times: Array, here: Mask, share: float = MINOR) -> Mask:
@@ -157,14 +154,8 @@ def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
-    own, beside = (
-        np.max(
-            np.abs(set_nonfinite_to_zero(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
-            axis=(0, 2),
-            initial=0.0,
-        )
-        for factor in (1.0, BESIDE)
-    )
+    effects = (s.functions.input_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
+    own, beside = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
     if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)

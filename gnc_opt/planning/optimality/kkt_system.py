@@ -197,10 +197,8 @@ class ProgramPoint:
 
     @property
     def is_finite(self) -> bool:
-        return bool(
-            np.isfinite(self.constraint_jacobian.data).all()
-            and np.isfinite(self.lagrangian_hessian.data).all()
-        )
+        matrices = self.constraint_jacobian, self.lagrangian_hessian
+        return all(bool(np.isfinite(matrix.data).all()) for matrix in matrices)
 
     @property
     def kkt_residual(self) -> Array:

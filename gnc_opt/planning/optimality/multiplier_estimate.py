@@ -163,11 +163,8 @@ def estimate_multipliers(
     gradients, sizes, at_limits = _find_costate_jump_candidates(
         transcription, problem, fitted, q, scales, near
     )
-    jumps = (
-        scipy.sparse.diags_array(weights)
-        @ gradients
-        @ scipy.sparse.diags_array(1 / replace_zero_divisors_by_one(sizes))
-    )
+    jumps = scipy.sparse.diags_array(weights) @ gradients
+    jumps = jumps @ scipy.sparse.diags_array(1 / replace_zero_divisors_by_one(sizes))
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
     pushing = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
@@ -175,10 +172,8 @@ def estimate_multipliers(
     restarts = {
         name: _choose_adjoint_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()
     }
-    exact, determined = (
-        _mask_adjoint_rows(transcription, restarts),
-        _mask_adjoint_multipliers(transcription, restarts),
-    )
+    exact = _mask_adjoint_rows(transcription, restarts)
+    determined = _mask_adjoint_multipliers(transcription, restarts)
     basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * factor, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / factor

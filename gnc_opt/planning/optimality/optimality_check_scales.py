@@ -160,19 +160,14 @@ class Scales:
             deviations = resolved
             reach = compute_reachable_sets({})
         cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(
-            map(_compute_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples])
-        )
+        cost += sum(_compute_end_time_shift_cost(s, ends.compute_cost_of_end_times(s)) for s in samples)
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
-            cost = changed + sum(
-                np.sum(
-                    np.abs(_compute_hamiltonian_second_differences(s, np.diag(reach[s.leg.name][1].radius)))
-                )
-                for s in lasting
-            )
+            moves = [np.diag(reach[s.leg.name][1].radius) for s in lasting]
+            differences = map(_compute_hamiltonian_second_differences, lasting, moves)
+            cost = changed + sum(np.sum(np.abs(change)) for change in differences)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
         limited = sum(_compute_limit_cost_of_state_shift(s, reach[s.leg.name][1].radius) for s in lasting)
@@ -238,10 +233,8 @@ def _compute_cost_of_joint_control_deviation(s: PhaseSamples, deviation: Array) 
     bends = np.abs(set_nonfinite_to_zero(s.control_hessian))
     first = np.sum(np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
-    slopes = (
-        np.abs(set_nonfinite_to_zero(s.cost_gradient)),
-        np.abs(set_nonfinite_to_zero(s.switching_functions - s.cost_gradient)),
-    )
+    parts = s.cost_gradient, s.switching_functions - s.cost_gradient
+    slopes = (np.abs(set_nonfinite_to_zero(part)) for part in parts)
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
     return change if change > NEGLIGIBLE * terms else terms
@@ -309,10 +302,7 @@ def _compute_parameter_variation_scales(
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = (
-        np.abs(solution.parameter_values),
-        problem.get_parameter_bounds().width_or_zero,
-    )
+    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().width_or_zero
     return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
 
 
@@ -468,11 +458,8 @@ class EndPoints:
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.is_fixed[0]:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-                moves.append(
-                    self._expand_endpoint_displacements(
-                        {place: set_nonfinite_to_zero(rate) * step, place + 2: np.array([[step]])}
-                    )
-                )
+                change = {place: set_nonfinite_to_zero(rate) * step, place + 2: np.array([[step]])}
+                moves.append(self._expand_endpoint_displacements(change))
         return moves
 
     def compute_end_lagrangian_differences(

@@ -196,9 +196,7 @@ class SwitchUnknowns:
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[phase.name].channels]
-            cost_changes += list(
-                s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
-            )
+            cost_changes += list(s.span * np.pad(at_switches, 1, constant_values=s.hamiltonian_scale))
             cost_changes += list(start_cost_changes)
             free += [not phase.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
             free += [not phase.final_time_bounds.is_fixed[0], *[True] * starts[phase.name].size]
@@ -401,14 +399,8 @@ def _collect_boundary_conditions(
         boxes = [phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds]
         others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
-    at_end.append(
-        EndConditions(
-            ends.constraints,
-            problem.get_boundary_constraint_bounds(),
-            of_constraints,
-            solution.constraint_multipliers,
-        )
-    )
+    limits, multipliers = problem.get_boundary_constraint_bounds(), solution.constraint_multipliers
+    at_end.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
     q = solution.parameter_values
     others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
     return EndConditions.concatenate_conditions([*at_end, *others])

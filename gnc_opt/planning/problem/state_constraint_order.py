@@ -54,14 +54,15 @@ def _derive_constraint_order(problem: ProblemData, phase: Phase, row: int) -> Co
     t, x, u, _ = phase.model.arguments()
     rates = problem.substitute_parameters(phase, phase.model.derivative())
     value = problem.substitute_parameters(phase, ca.vertcat(phase.path_expression(), x)[row])
-    return _differentiate_until_controls_appear(
+    return differentiate_until_controls_appear(
         (*phase.path_labels, *phase.model.states.labels)[row], value, t, x, u, rates
     )
 
 
-def _differentiate_until_controls_appear(
+def differentiate_until_controls_appear(
     label: str, value: Any, t: Any, x: Any, u: Any, rates: Any
 ) -> ConstraintOrder:
+    """Return the derivatives of a scalar along dx/dt = ``rates``, up to the first one that contains controls u."""
     derivatives = [value]
     while True:
         controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))

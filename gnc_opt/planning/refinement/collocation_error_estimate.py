@@ -128,13 +128,9 @@ def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
     phase, pure = samples.leg, samples.pure_state_paths
-    forces = np.concatenate(
-        [
-            np.abs(phase.state_multipliers) * samples.state_scale[:, None],
-            np.abs(phase.path_multipliers[pure]) * path_scale[pure, None],
-        ]
-    )
-    pushed = np.any(forces > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
+    on_states = np.abs(phase.state_multipliers) * samples.state_scale[:, None]
+    on_paths = np.abs(phase.path_multipliers[pure]) * path_scale[pure, None]
+    pushed = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
     jumps = np.any(np.abs(phase.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
     held = np.logical_or.reduceat(pushed, phase.mesh.point_offsets[:-1])

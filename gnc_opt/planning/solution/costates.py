@@ -51,10 +51,8 @@ def correct_constraint_arc_costates(
     """Return a phase solution with costates and multipliers corrected along active segments."""
     if held is None or not held.paths or phase.scheme != GAUSS:
         return phase
-    at_limit = (
-        np.array([[kind.is_at_limit for kind in row] for row in held.paths])
-        & ~functions.mixed_path_constraints[:, None]
-    )
+    at_limit = np.array([[kind.is_at_limit for kind in row] for row in held.paths])
+    at_limit &= ~functions.mixed_path_constraints[:, None]
     if not np.any(at_limit):
         return phase
     start, end, values = phase.lam_start.copy(), phase.lam_end.copy(), [v.copy() for v in phase.lam.values]

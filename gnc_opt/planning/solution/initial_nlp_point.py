@@ -152,13 +152,9 @@ def _transfer_phase_variables(
     if old.path_labels:
         lam_g[collocation.path_rows] = sample_inside_segments(old.path_multiplier) * weights
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
-    costates, ends = (
-        old.point_costates if same else sample_inside_segments(old.lam),
-        old.lam(breaks[1:], "left"),
-    )
-    for rows, values in zip(
-        collocation.dynamics_rows, invert_costate_map(collocation, costates, ends), strict=True
-    ):
+    costates = old.point_costates if same else sample_inside_segments(old.lam)
+    multipliers = invert_costate_map(collocation, costates, old.lam(breaks[1:], "left"))
+    for rows, values in zip(collocation.dynamics_rows, multipliers, strict=True):
         lam_g[rows] = values
 
 
@@ -218,12 +214,8 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
     2.0976
     """
-    require_type(
-        problem,
-        Problem,
-        "the argument of guess_from_solution()",
-        "write guess_from_solution(problem, solution)",
-    )
+    hint = "write guess_from_solution(problem, solution)"
+    require_type(problem, Problem, "the argument of guess_from_solution()", hint)
     require_type(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
     common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
     if len(problem.phases) == len(solution.phases) == 1:

@@ -292,10 +292,8 @@ class PhaseSamples:
     @property
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
-        return np.maximum(
-            take_largest_component(self._hamiltonian_changes, self.leg.controls),
-            NOTABLE * self.max_hamiltonian_change,
-        )
+        changes = take_largest_component(self._hamiltonian_changes, self.leg.controls)
+        return np.maximum(changes, NOTABLE * self.max_hamiltonian_change)
 
     @property
     def hamiltonian_rounding_level(self) -> float:
@@ -374,11 +372,13 @@ class PhaseSamples:
     def path_variations(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
-        by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
-        by_control = np.einsum(
-            "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
+        by_state, by_control = (
+            self.functions.path_state_jacobian(*at),
+            self.functions.path_control_jacobian(*at),
         )
-        return np.asarray(np.max(by_state + by_control, axis=1))
+        pairs = (by_state, self.state_scale), (by_control, self.control_scale)
+        changes = (np.einsum("ijt,j->it", np.abs(jacobian), scale) for jacobian, scale in pairs)
+        return np.asarray(np.max(sum(changes), axis=1))
 
     @cached_property
     def path_scale(self) -> Array:

@@ -348,11 +348,8 @@ class Solution(PrintableResult):
         components; problem, status, objective and provenance are attributes.
         """
         attributes = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
-        return (
-            build_time_history(self.phase(phase), times)
-            .to_xarray()
-            .assign_attrs({**attributes, **self.provenance})
-        )
+        table = build_time_history(self.phase(phase), times).to_xarray()
+        return table.assign_attrs({**attributes, **self.provenance})
 
     def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
         """Write states, applied controls and costates to a file for other programs, and return its path.

@@ -104,12 +104,8 @@ def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
 
 def format_mesh(solution: SolutionLike) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
-    named = [
-        f"{name} {_format_phase_mesh(phase.mesh)}"
-        if len(solution.phases) > 1
-        else _format_phase_mesh(phase.mesh)
-        for name, phase in solution.phases.items()
-    ]
+    several, phases = len(solution.phases) > 1, solution.phases.items()
+    named = [f"{name} " * several + _format_phase_mesh(phase.mesh) for name, phase in phases]
     scheme = next(iter(solution.phases.values())).scheme
     return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
 

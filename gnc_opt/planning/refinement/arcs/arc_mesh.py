@@ -270,12 +270,9 @@ class ArcMesh:
                 continue
             model = problem.phases[phase].model
             if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
-                last = self.subarc_boundary_breaks[subarc + 1] + (subarc + 1 < structure.n_subarcs)
-                row, ends = (
-                    held[0] - structure.n_controls,
-                    range(self.subarc_boundary_breaks[subarc] + 1, last),
-                )
-                found += [Junction(row, k, kinds[held[0]], 1) for k in ends]
+                first, last = self.subarc_boundary_breaks[subarc : subarc + 2]
+                ends = range(first + 1, last + (subarc + 1 < structure.n_subarcs))
+                found += [Junction(held[0] - structure.n_controls, k, kinds[held[0]], 1) for k in ends]
         return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:

@@ -325,12 +325,9 @@ def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: floa
     residual = np.where(contact[plan.segment_subarc_indices], 0.0, samples.segment_integrals(residual))
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * weights, axis=0))
     by_piece = np.split(per_segment, plan.subarc_boundary_breaks[1:-1])
-    wanted = tuple(
-        choose_finer_subarc_mesh(r, errors, gradient, tol)
-        for r, errors, gradient in zip(
-            plan.resolutions, by_piece, compute_singular_arc_gradients(samples, plan), strict=True
-        )
-    )
+    gradients = compute_singular_arc_gradients(samples, plan)
+    subarcs = zip(plan.resolutions, by_piece, gradients, strict=True)
+    wanted = tuple(choose_finer_subarc_mesh(*subarc, tol) for subarc in subarcs)
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 
