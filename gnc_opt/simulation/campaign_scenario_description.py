@@ -22,6 +22,10 @@ _SPREADS = ("std", "mean", "low", "high", "radius", "angle", "values")
 """Values of dispersions in the unit of the dispersed quantity."""
 
 
+_WORDS = {"sigma": "standard deviation", "std": "standard deviation", "tau": "time constant"}
+"""Words for fields that are named by a symbol or an abbreviation; "sigma" may also be the name of an attitude."""
+
+
 def describe_campaign_scenario(
     loop: ClosedLoop, parameters: Layout, dispersions: Mapping[str, Any]
 ) -> tuple[tuple[str, str, str], ...]:
@@ -48,8 +52,10 @@ def describe_campaign_scenario(
 
 
 def _describe_dataclass(part: Any, units: Mapping[str, str]) -> str:
-    """Return "uniform: low -0.05 m, high 0.05 m": the class and the values that differ from its defaults."""
+    """Return "noise on q: standard deviation 0.05 m": class, place and the values that differ from its defaults."""
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
+    places = np.ravel(getattr(part, "on", None) or []).tolist()
+    kind += f" on {', '.join(map(str, places))}" * bool(places)
     values = ", ".join(_describe_dataclass_fields(part, units)) if is_dataclass(part) else ""
     return f"{kind}: {values}" if values else kind
 
@@ -60,7 +66,7 @@ def _describe_dataclass_fields(part: Any, units: Mapping[str, str]) -> Iterator[
     )  # last, before the words on it
     for member in members:
         name, value = member.name, getattr(part, member.name)
-        if name == "name" or (member.default is not MISSING and value is member.default):
+        if name in ("name", "on") or (member.default is not MISSING and value is member.default):
             continue
         if isinstance(value, bool):
             yield name if value else f"not {name}"
@@ -69,4 +75,4 @@ def _describe_dataclass_fields(part: Any, units: Mapping[str, str]) -> Iterator[
         elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
             texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
             numbers = texts[0] if len(set(texts)) == 1 else ", ".join(texts)
-            yield f"{name} {numbers} {units.get(name, '')}".rstrip()
+            yield f"{_WORDS.get(name, name)} {numbers} {units.get(name, '')}".rstrip()

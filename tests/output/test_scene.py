@@ -115,7 +115,7 @@ def test_campaign_carries_any_run(campaign, tmp_path):
         5,
         "m",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)),
-        "normal: std 0.2, 0.4, 0.1 m, added to the nominal value",
+        "normal: standard deviation 0.2, 0.4, 0.1 m, added to the nominal value",
     )
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
     data = carried(page)
@@ -148,7 +148,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     worst = campaign.worst("r", 1)[0]
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "parameters are initial.r.",
+                  "<td>normal: standard deviation 0.2, 0.4, 0.1 m, added to the nominal value</td>", "parameters are initial.r.",
                   "<td>seed</td><td>3</td>", "gain margin up", "go.monte_carlo(loop, 40, seed=3, ...)",
                   f"<h2>Worst run: {worst}</h2><p>This run has the largest value relative to a limit: final error of r",
                       f"and reference in run {worst}.</figcaption>",
@@ -317,9 +317,9 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     page = paths[0].read_text("utf-8")
     for shown in (
         "<td>effort of a</td><td>m/s</td>",
-        "sigma 0.001 m<",
+        "noise on q: standard deviation 0.001 m<",
         "lower −9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
-        "std 0.02 m, added to the nominal value",
+        "standard deviation 0.02 m, added to the nominal value",
         "control step 0.1 s",
         "<th></th><th>q<br><small>m</small></th><th>v<br><small>m/s</small></th>",
         "solution of &#x27;rest to rest&#x27;, 0 s to 2 s",
@@ -400,7 +400,7 @@ def test_errors_and_noise_of_attitudes_are_in_rad():
     loop = go.ClosedLoop(model, go.design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1), sensors=[sensor])
     runs = go.monte_carlo(loop, 2, x0=[0.1, 0, 0], tf=1.0, seed=1, executor="serial")
     assert runs.layouts["error"]["sigma"].unit == runs.unit("sigma") == "rad"
-    assert ("sensor", "star tracker", "noise: sigma 0.0001 rad") in runs.scenario
+    assert ("sensor", "star tracker", "noise: standard deviation 0.0001 rad") in runs.scenario
 
 
 def test_scene_describes_the_body_axes_and_the_plume(solution):
@@ -445,11 +445,11 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
         ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)"),
     )
     assert [row[2] for row in rows[2:7]] == [
-        "noise: sigma 0.01 m/s",
+        "noise: standard deviation 0.01 m/s",
         "saturation: lower -1 m/s^2, upper 1 m/s^2",
-        "lag: on u, tau 0.05 s",
+        "lag on u: time constant 0.05 s",
         "uniform: low -0.05 m/s, high 0.05 m/s, added to the nominal value",
-        "normal: std 0.1, truncate 3, relative to the nominal value",
+        "normal: standard deviation 0.1, truncate 3, relative to the nominal value",
     ]
 
 
