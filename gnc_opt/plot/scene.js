@@ -96,8 +96,9 @@
   const axis = (i) => ({ title: title(data.labels[i]), range: range(i, data.down && i > 0), gridcolor: colour("--line"),
     zerolinecolor: colour("--line"), showbackground: false, showspikes: false, showticklabels: data.moves && data.labels[i] !== "", nticks: extents[i] < 0.3 * longest ? 2 : 6 });
   const extents = data.high.map((v, i) => v - data.low[i]), longest = Math.max(...extents);
-  const wide = Math.max(1, 1.4 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
-  const away = 0.7 * wide * Math.hypot(...extents) / longest;
+  const distance = () => // narrow windows show less of the width
+    0.7 * Math.max(1, 1.4 * stage.clientHeight / stage.clientWidth) * Math.hypot(...extents) / longest;
+  let away = distance();
   const layout = () => ({
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "one",
     font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },
@@ -140,6 +141,12 @@
   for (const name of names) choice.add(new Option(name));
   choice.hidden = names.length < 2;
   choice.onchange = () => { shown = data.motions[choice.value]; draw(); };
+  addEventListener("resize", () => { // keeps the direction of the view
+    if (!stage.clientWidth) return; // not shown in print
+    const factor = distance() / away, { eye } = stage.layout.scene.camera;
+    away *= factor;
+    if (factor !== 1) Plotly.relayout(stage, { "scene.camera.eye": { x: factor * eye.x, y: factor * eye.y, z: factor * eye.z } });
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", whole);
   await whole();
   tell();
