@@ -43,12 +43,40 @@ def format_html_heading(text: str) -> str:
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
+_UNIT = re.compile(r"([A-Za-z°%]+)(?:\^(-?[\d.]+))?")
+
+
 def format_unit_quotient(unit: str, other: str) -> str:
-    """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
+    """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N".
+
+    The quotient of a product or of a quotient has no common factors: "m/(s^2 N)" from "m/s/s" and "N".
+    """
     if not other:
         return unit
-    divisor = f"({other})" if set(other) & set(" /*") else other
-    return f"{unit or '1'}/{divisor}"
+    powers = (_parse_unit_powers(unit), _parse_unit_powers(other)) if set(unit) & set(" /") else ()
+    if not powers or None in powers:
+        divisor = f"({other})" if set(other) & set(" /*") else other
+        return f"{unit or '1'}/{divisor}"
+    total = dict(powers[0] or {})
+    for name, power in (powers[1] or {}).items():
+        total[name] = total.get(name, 0.0) - power
+    above = " ".join(n if p == 1.0 else f"{n}^{p:g}" for n, p in total.items() if p > 0.0)
+    below = [n if p == -1.0 else f"{n}^{-p:g}" for n, p in total.items() if p < 0.0]
+    divisor = f"({' '.join(below)})" if len(below) > 1 else "".join(below)
+    return f"{above or '1'}/{divisor}" if below else above
+
+
+def _parse_unit_powers(unit: str) -> dict[str, float] | None:
+    """Return the power of each factor of a unit such as "N m/s^2" or "s/(N m)"; None if it has another form."""
+    powers: dict[str, float] = {}
+    for k, part in enumerate(re.sub(r"\(([^()/]*)\)", r"\1", unit).split("/")):
+        for factor in part.split():
+            found = _UNIT.fullmatch(factor)
+            if found is None and factor != "1":
+                return None
+            if found is not None:
+                powers[found[1]] = powers.get(found[1], 0.0) + float(found[2] or 1.0) * (-1.0 if k else 1.0)
+    return powers
 
 
 def simplify_time_integral_unit(unit: str) -> str:
@@ -108,9 +136,11 @@ GREEK_NAMES = (
 def split_symbol_and_index(label: str) -> tuple[str, str]:
     """Return symbol and index of a name: "r" and "L,1" of "r_L[0]", "inertia" and "3" of "inertia_3" or "inertia[2]".
 
-    A name of several letters keeps an ending of more than two characters: "mean_motion".
+    A name of several letters keeps an ending of more than two characters: "mean_motion". A letter before x, y, z or a
+    number has an index too: "v" and "x" of "vx". "lam" is "lambda".
     """
     name, _, index = label.partition("[")
+    name = re.sub(r"^lam(?=_|$)", "lambda", re.sub(r"^([A-Za-z])([xyz]|\d+)$", r"\1_\2", name))
     base, _, subscript = name.partition("_")
     if len(base) > 1 and base not in GREEK_NAMES:
         base, _, subscript = name.rpartition("_")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import io
+import re
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from importlib import import_module
@@ -58,7 +59,7 @@ def pages(pictures: bool) -> dict[str, str]:
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
-    statement = module_page(example.docstring).removeprefix(f"{heading(example)}: ")
+    statement = raise_exponents(module_page(example.docstring)).removeprefix(f"{heading(example)}: ")
     subtitle, _, text = statement.partition("\n")
     yield f"*{subtitle[0].upper()}{subtitle[1:]}*\n{text}\n"
     known = reference(example)
@@ -88,6 +89,12 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
             yield f'??? example "`{place}`"\n\n    ```python\n{body}\n    ```\n'
         else:
             yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
+
+
+def raise_exponents(text: str) -> str:
+    """Return Markdown with the exponents of units as raised digits, outside of formulas and code."""
+    parts = re.split(r"(```.*?```|\$\$.*?\$\$|\$[^$]*\$|`[^`]*`)", text, flags=re.DOTALL)
+    return "".join(part if k % 2 else superscripts(part) for k, part in enumerate(parts))
 
 
 def _without_docstring(code: str) -> str:

@@ -48,6 +48,8 @@ from gnc_opt.text_html_and_json_formatting import format_unit_quotient
 
 _APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0]}
 _POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
+_SPACED_NODES = 200.0
+"""Sum of the diameters of the marks of nodes that leave the curve visible, points."""
 _SWITCHING: dict[str, Any] = {"color": COLORS[2]}
 _ARC_END: dict[str, Any] = {"color": "black", "linewidth": THIN, "linestyle": ":", "zorder": 1}
 
@@ -94,7 +96,7 @@ def plot_controls(
         for ax in drawn:
             draw_phase_boundaries(ax, phases)
         label_bottom_time_axes(figure, time_unit(solution))
-        if drawn[0].get_legend() is None:
+        if any(paired) and drawn[0].get_legend() is None:
             place_legend_above(drawn[0], [ax for ax in drawn if ax.get_legend() is None])
     return figure
 
@@ -137,8 +139,9 @@ def _list_plotted_control_components(
 def _draw_bounded_control_component(ax: Axes, phase: PhaseSolution, name: str, i: int) -> None:
     signal = phase.control(name)
     t, applied = sample_piecewise_function(phase.saturated_control(name), phase.applied.jump_times)
-    ax.plot(t, applied[i], **_APPLIED)
-    ax.plot(phase.point_times, np.atleast_2d(signal(phase.point_times))[i], ".", **_POINTS)
+    ax.plot(t, applied[i], **_APPLIED, zorder=3)
+    size = min(3.5, max(2.2, _SPACED_NODES / phase.point_times.size))
+    ax.plot(phase.point_times, np.atleast_2d(signal(phase.point_times))[i], "o", markersize=size, **_POINTS)
     row = phase.controls.slice(name).start + i
     lower, upper = phase.control_bounds.lower[row], phase.control_bounds.upper[row]
     for level in (lower, upper):
@@ -153,7 +156,8 @@ def _draw_bounded_control_component(ax: Axes, phase: PhaseSolution, name: str, i
 def _draw_all_control_components(ax: Axes, phase: PhaseSolution, name: str) -> None:
     signal = phase.saturated_control(name)
     labels = list_legend_labels(signal)
-    draw_signal_components(ax, *sample_piecewise_function(signal, phase.applied.jump_times), labels)
+    t, values = sample_piecewise_function(signal, phase.applied.jump_times)
+    draw_signal_components(ax, t, values, labels if len(labels) > 1 else ["_"])
     ax.set_ylabel(format_axis_label(format_variable_name(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)

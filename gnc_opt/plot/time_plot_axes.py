@@ -83,10 +83,15 @@ def draw_phase_boundaries(ax: Axes, phases: Sequence[PhaseSolution], negligible:
         ax.axvline(phase.breaks[0], color=QUIET, linewidth=THIN, linestyle=":")
 
 
+_NO_TIMES = ("rad", "deg", "m", "km", "m/s", "km/s")
+"""Units of independent variables in place of the time."""
+
+
 def label_bottom_time_axes(figure: Figure, unit: str) -> None:
     """Add a time label to the last axes of each column."""
+    quantity = "independent variable" if unit in _NO_TIMES else "time"
     for ax in find_bottom_axes_of_columns(figure):
-        ax.set_xlabel(f"time ({unit})")
+        ax.set_xlabel(f"{quantity} ({unit})")
 
 
 def sample_piecewise_function(

@@ -8,9 +8,9 @@ rising energy, and a zoom.
 States: ``h`` (ft), ``v`` (ft/s), ``gamma`` (rad), ``w`` (lb). Control: angle of attack ``alpha`` (rad).
 
 .. math::
-   \dot h = v \sin\gamma, \qquad
-   \dot v = \frac{T \cos\alpha - D}{m} - \frac{\mu \sin\gamma}{(R + h)^2}, \qquad
-   \dot\gamma = \frac{T \sin\alpha + L}{m v} + \cos\gamma \Big(\frac{v}{R + h} - \frac{\mu}{v (R + h)^2}\Big), \qquad
+   \dot h = v \sin\gamma, \quad
+   \dot v = \frac{T \cos\alpha - D}{m} - \frac{\mu \sin\gamma}{(R + h)^2}, \quad
+   \dot\gamma = \frac{T \sin\alpha + L}{m v} + \cos\gamma \Big(\frac{v}{R + h} - \frac{\mu}{v (R + h)^2}\Big), \quad
    \dot w = -\frac{T}{I_{sp}}
 
 .. math:: L = q S C_{L\alpha} \alpha, \qquad D = q S (C_{D0} + \eta C_{L\alpha} \alpha^2)

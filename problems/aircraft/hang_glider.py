@@ -11,7 +11,7 @@ States: ``x``, ``y`` (m), ``v_x``, ``v_y`` (m/s, y upwards). Control: ``lift``, 
    m \dot v = L\, e_L - D\, e_D - m g, \qquad C_D = 0.034 + 0.069662\, C_L^2, \qquad
    u_a = 2.5\,(1 - X) e^{-X}, \quad X = (x / 100 - 2.5)^2
 
-with lift and drag normal and parallel to the velocity relative to the air, which rises with u_a (m/s).
+with lift and drag normal and parallel to the velocity relative to the air, which rises with :math:`u_a` (m/s).
 
 Source: Bulirsch, Nerz, Pesch and von Stryk, 1993; Betts, Practical Methods for Optimal Control, 2010 (1248.031 m).
 """

@@ -5,7 +5,8 @@ stage drop off, the mass jumps by a known amount, stated in the linkage. The tar
 momentum and eccentricity vectors, which are smooth. Steering is a unit vector, as in the orbit raising problem.
 
 States: ``r`` (m), ``v`` (m/s) in an inertial frame at the Earth's centre, ``m`` (kg). Control: ``direction``, the unit
-vector of the thrust. Drag acts against the velocity relative to the turning atmosphere, w = v - Omega x r:
+vector of the thrust. Drag acts against the velocity relative to the turning atmosphere,
+:math:`w = v - \Omega \times r`:
 
 .. math::
    \dot r = v, \qquad

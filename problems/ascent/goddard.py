@@ -10,7 +10,7 @@ States: ``h`` (m), ``v`` (m/s), ``m`` (kg). Control: ``thrust`` (N).
    \dot h = v, \qquad \dot v = \frac{T - D}{m} - g, \qquad \dot m = -\frac{T}{c}, \qquad
    D = \sigma v^2 e^{-h / h_0}
 
-On the singular arc the state keeps to the surface m g = (1 + v / c) D (`singular_surface`).
+On the singular arc the state keeps to the surface :math:`m g = (1 + v / c) D` (`singular_surface`).
 
 Source: Goddard, 1919; data of Betts, Practical Methods for Optimal Control, 2010 (18550.872 ft), converted from
 feet and slugs."""

@@ -1,12 +1,12 @@
 r"""Bilimoria and Wie: turn a spherically symmetric satellite by 180 degrees in minimum time.
 
-This example shows a saddle point. The turn about the axis itself (eigenaxis) takes 2 sqrt(pi) = 3.5449 s and
+This example shows a saddle point. The turn about the axis itself (eigenaxis) takes :math:`2 \sqrt\pi` = 3.5449 s and
 satisfies every first-order condition; nutation through the other two axes is 8.5 % faster, since the torque vector of
 three independent axes is longer than that of one. A guess on the axis stays there; the default guess is perturbed.
 The norm of the quaternion is conserved, so the component of its costate along q is arbitrary.
 
-States: ``q`` = q_BA, quaternion of body axes B relative to inertial axes A, scalar part first; ``omega`` = omega_BA_B
-(rad/s). Control: ``torque`` in B (N m), -1 to 1 each; the inertia is 1 kg m^2 about every axis.
+States: ``q``, quaternion of body axes B relative to inertial axes A, scalar part first; ``omega``
+(rad/s) of B relative to A. Control: ``torque`` in B (N m), -1 to 1 each; the inertia is 1 kg m^2 about every axis.
 
 .. math::
    \dot q = \tfrac12\, q \otimes (0, \omega), \qquad \dot\omega = T / I

@@ -1,17 +1,19 @@
 r"""Brachistochrone: the curve of fastest descent between two points.
 
 A bead slides from (0, 0) to (2 m, 2 m) without friction. This is the smallest problem with a free final time, a free
-final state and a control, and its costates are known at every instant. It shows two signs, H = -1 throughout and
-lam(t_0) = dJ*/dx_0, and a false extremal: if the angle may go from 0 to 2 pi, a solver may stop at a stationary point
-with J = 0.8642 s, where the angle is 2 pi at some points. The range below is therefore 0 to pi.
+final state and a control, and its costates are known at every instant. It shows two signs, :math:`H = -1` throughout
+and :math:`\lambda(t_0) = dJ^*/dx_0`, and a false extremal: if the angle may go from 0 to :math:`2 \pi`, a solver may
+stop at a stationary point with a time of 0.8642 s, where the angle is :math:`2 \pi` at some points. The range below is
+therefore 0 to :math:`\pi`.
 
 States: ``x``, ``y`` (m, y downwards), ``v`` (m/s). Control: ``theta``, the angle of the path from the vertical (rad).
 
 .. math::
    \dot x = v \sin\theta, \qquad \dot y = v \cos\theta, \qquad \dot v = g \cos\theta
 
-The optimum is a cycloid of radius R, with a = t sqrt(g / R):
-x = R (a - sin a), y = R (1 - cos a), theta = a / 2.
+The optimum is a cycloid of radius R, with :math:`a = t \sqrt{g / R}`:
+
+.. math:: x = R (a - \sin a), \qquad y = R (1 - \cos a), \qquad \theta = a / 2
 
 Source: Johann Bernoulli, 1696; Bryson and Ho, Applied Optimal Control, 1975.
 """

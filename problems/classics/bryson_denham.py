@@ -1,18 +1,24 @@
 r"""Bryson-Denham: minimum effort with a limit on position.
 
-A mass is thrown back with minimum effort and must not pass a wall at l = 1/9 m. This example shows a state
-constraint of second order: the control appears in the second derivative of x <= l. At both ends of the active arc
-lam_x jumps down by 18, while the control is continuous. A constraint that is enforced at the nodes only gives a wrong
-result: one segment of degree 8 gives J = 3.982, half a percent *below* the optimum, with an ODE residual of zero. A
-check between the nodes finds this.
+A mass is thrown back with minimum effort and must not pass a wall at :math:`l = 1/9` m. This example shows a state
+constraint of second order: the control appears in the second derivative of :math:`x \le l`. At both ends of the
+active arc :math:`\lambda_x` jumps down by 18, while the control is continuous. A constraint that is enforced at the
+nodes only gives a wrong result: one segment of degree 8 gives J = 3.982, half a percent *below* the optimum, with an
+ODE residual of zero. A check between the nodes finds this.
 
 States: ``x`` (m), ``v`` (m/s). Control: ``a`` (m/s^2).
 
 .. math::
    \dot x = v, \qquad \dot v = a, \qquad J = \tfrac12 \int_0^1 a^2\,dt, \qquad x \le l
 
-Closed form (l <= 1/6): on the limit from 3 l to 1 - 3 l; before, with z = 1 - t / (3 l), x = l (1 - z^3), v = z^2,
-a = -2 z / (3 l), lam_x = 2 / (9 l^2), lam_v = -a; afterwards mirrored. J = 4 / (9 l).
+Closed form for :math:`l \le 1/6`: the limit is active from :math:`3 l` to :math:`1 - 3 l`. Before, with
+:math:`z = 1 - t / (3 l)`,
+
+.. math::
+   x = l (1 - z^3), \quad v = z^2, \quad a = -\frac{2 z}{3 l}, \quad \lambda_x = \frac{2}{9 l^2}, \quad
+   \lambda_v = -a, \quad J = \frac{4}{9 l}
+
+Afterwards the motion is mirrored.
 
 Source: Bryson and Ho, Applied Optimal Control, 1975, page 120.
 """

@@ -8,8 +8,11 @@ States: biomass ``X``, product ``P``, substrate ``S`` (g/l), volume ``V`` (l). C
 
 .. math::
    \dot X = \mu X - \frac{u X}{500 V}, \quad \dot P = \rho X - 0.01 P - \frac{u P}{500 V}, \quad
+   \dot V = \frac{u}{500}
+
+.. math::
    \dot S = -\Big( \frac{\mu}{0.47} + \frac{\rho}{1.2} + \frac{0.029 S}{0.0001 + S} \Big) X
-   + \frac{u}{V} \Big( 1 - \frac{S}{500} \Big), \quad \dot V = \frac{u}{500}
+   + \frac{u}{V} \Big( 1 - \frac{S}{500} \Big)
 
 .. math::
    \mu = \frac{0.11 S}{0.006 X + S}, \qquad \rho = \frac{0.0055 S}{0.0001 + S (1 + 10 S)}, \qquad
@@ -47,7 +50,7 @@ def build() -> go.Problem:
         }
     )
 
-    problem = go.Problem("penicillin fermentor")
+    problem = go.Problem("penicillin fermentor", time_unit="h")
     batch = problem.phase("batch", reactor)
     batch.time(initial=0.0, final=(72.0, 200.0))
     batch.initial(X=1.5, P=0.0, S=0.0, V=7.0)

@@ -1,17 +1,21 @@
 r"""Hyper-sensitive problem: 10 000 s, of which only the first and the last ten matter.
 
 This example shows the purpose of mesh refinement. The optimum decays to zero, stays there, and rises at the end (a
-turnpike). A uniform mesh needs tens of thousands of points, and shooting fails, since errors grow like exp(t). Each
-boundary layer is the stable or unstable manifold of the origin, where H = 0 gives the costate as a function of the
-state, and the layer in closed form.
+turnpike). A uniform mesh needs tens of thousands of points, and shooting fails, since errors grow like :math:`e^t`.
+Each boundary layer is the stable or unstable manifold of the origin, where H = 0 gives the costate as a function of
+the state, and the layer in closed form.
 
 State: ``x``. Control: ``u``, -50 to 50 (never reached). No units; time in s.
 
 .. math::
    \dot x = -x^3 + u, \qquad J = \tfrac12 \int_0^{t_f} (x^2 + u^2)\,dt
 
-Closed form, up to exp(-t_f): with y = x^2, y = 1 / sinh(2 t + asinh(1 / y_0)) from the start, likewise backwards from
-the end; lam = -u = -x^3 +- x sqrt(x^4 + 1), + at the start, - at the end.
+Closed form, up to :math:`e^{-t_f}`: with :math:`y = x^2`, from the start and likewise backwards from the end,
+
+.. math::
+   y = \frac{1}{\sinh(2 t + \operatorname{arsinh}(1 / y_0))}, \qquad \lambda = -u = -x^3 \pm x \sqrt{x^4 + 1}
+
+with + at the start and - at the end.
 
 Source: Rao and Mease, Eigenvector approximate dichotomic basis method for solving hyper-sensitive optimal control
 problems, Optimal Control Applications and Methods 21, 2000.

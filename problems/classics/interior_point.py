@@ -1,15 +1,18 @@
 r"""Interior point: a scalar state with a prescribed value at a given time.
 
 The state goes from 1 to 0.75 in 1 s and must be 0.9 at 0.75 s. This example shows the simplest linkage. A constraint
-inside the interval divides it into two phases; the costate jumps there, and the jump is the derivative of J* with
-respect to the prescribed value.
+inside the interval divides it into two phases; the costate jumps there, and the jump is the derivative of the
+optimal cost with respect to the prescribed value.
 
 State: ``x``. Control: ``u``, -1 to 1. No units; time in s.
 
 .. math::
    \dot x = u, \qquad J = \int_0^1 (x^2 + u^2)\,dt, \qquad x(0.75) = 0.9
 
-Closed form: in each phase x = (x_0 sinh(t_f - t) + x_f sinh(t - t_0)) / sinh(t_f - t_0), lam = -2 x'.
+Closed form in each phase:
+
+.. math::
+   x = \frac{x_0 \sinh(t_f - t) + x_f \sinh(t - t_0)}{\sinh(t_f - t_0)}, \qquad \lambda = -2 \dot x
 
 Source: problem "interior point" of the PSOPT manual (0.920531).
 """

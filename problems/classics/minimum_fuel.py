@@ -2,16 +2,19 @@ r"""Minimum fuel, rest to rest: a cart moves 1 m in 3 s.
 
 This example shows an absolute value in the cost and the bang-off-bang optimum. The absolute value is written as two
 one-sided controls, each with its own jet, so that no function has a kink. If the time is longer than the 2 s that
-full thrust needs, the optimum coasts. The primer lam_v selects the jet: forwards below -1, backwards above +1, none
-between.
+full thrust needs, the optimum coasts. The primer :math:`\lambda_v` selects the jet: forwards below -1, backwards
+above +1, none between.
 
 States: ``x`` (m), ``v`` (m/s). Controls: ``forward``, ``backward`` (m/s^2), 0 to 1.
 
 .. math::
    \dot x = v, \qquad \dot v = u^+ - u^-, \qquad J = \int_0^T (u^+ + u^-)\,dt
 
-Closed form: switches at s = (T - sqrt(T^2 - 4)) / 2 and T - s; J = 2 s; lam_x = -2 / sqrt(T^2 - 4),
-lam_v = lam_x (T / 2 - t).
+Closed form: switches at s and T - s, with
+
+.. math::
+   s = \frac{T - \sqrt{T^2 - 4}}{2}, \qquad J = 2 s, \qquad \lambda_x = -\frac{2}{\sqrt{T^2 - 4}}, \qquad
+   \lambda_v = \lambda_x (T / 2 - t)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Periodic control: hold a disturbed plant near zero, day after day.
 
-This example shows boundary conditions that join both ends: x(2 pi) = x(0) with neither value given, by a link of the
-phase to itself. The costate is then periodic as well, and the optimum is the forced response alone, without a
+This example shows boundary conditions that join both ends: :math:`x(2\pi) = x(0)` with neither value given, by a link
+of the phase to itself. The costate is then periodic as well, and the optimum is the forced response alone, without a
 transient.
 
 State: ``x``. Control: ``u``. No units; time in s.
@@ -9,7 +9,9 @@ State: ``x``. Control: ``u``. No units; time in s.
 .. math::
    \dot x = -x + u + \sin t, \qquad J = \tfrac12 \int_0^{2\pi} (x^2 + u^2)\,dt, \qquad x(2\pi) = x(0)
 
-Closed form: x = (sin t - cos t) / 3, u = -sin(t) / 3, lam = sin(t) / 3; J = pi / 6.
+Closed form:
+
+.. math:: x = \frac{\sin t - \cos t}{3}, \qquad u = -\frac{\sin t}{3}, \qquad \lambda = -u, \qquad J = \frac{\pi}{6}
 """
 
 from __future__ import annotations

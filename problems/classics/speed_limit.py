@@ -9,8 +9,9 @@ States: ``x`` (m), ``v`` (m/s, at most 0.5). Control: ``a`` (m/s^2, -1 to 1).
 .. math::
    \dot x = v, \qquad \dot v = a, \qquad |v| \le v_{max}
 
-Closed form: a = 1, 0, -1 with switches at v_max and t_f - v_max; lam_x = -1 / v_max, lam_v rises from -1 to 0 on the
-first arc, is 0 on the limit, and rises to +1 on the last.
+Closed form: the control is 1, 0, -1 with switches at :math:`v_{max}` and :math:`t_f - v_{max}`. The costate
+:math:`\lambda_x` is :math:`-1 / v_{max}`; :math:`\lambda_v` rises from -1 to 0 on the first arc, is 0 on the limit, and
+rises to 1 on the last arc.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def build(as_state: bool = False) -> go.Problem:
         rates[tumour.state("dose")] = u
     tumour.ode(rates)
 
-    problem = go.Problem("tumour anti-angiogenesis")
+    problem = go.Problem("tumour anti-angiogenesis", time_unit="days")
     therapy = problem.phase("therapy", tumour)
     therapy.time(initial=0.0, final=(0.1, 5.0))
     therapy.initial(p=LARGEST / 2, q=LARGEST / 4)

@@ -1,8 +1,9 @@
 r"""Van der Pol's oscillator, calmed by a bounded force: bang, bang, singular.
 
-This example shows the derivation of a singular arc. The control enters linearly, so on a singular arc lam_y = 0; its
-first derivative gives lam_x = -y, the second y' = x, and the dynamics then require the feedback u = 2 x - y (1 -
-x^2). The end is free, so the optimum stays on that arc to the end.
+This example shows the derivation of a singular arc. The control enters linearly, so on a singular arc
+:math:`\lambda_y = 0`. Its first derivative gives :math:`\lambda_x = -y`, the second :math:`\dot y = x`, and the
+dynamics then require the feedback :math:`u = 2 x - y (1 - x^2)`. The end is free, so the optimum stays on that arc to
+the end.
 
 States: ``x``, ``y``. Control: ``u``, -1 to 1. No units; time in s.
 

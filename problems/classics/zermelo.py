@@ -1,8 +1,8 @@
 r"""Zermelo's navigation problem: steer a boat home in minimum time through a current that shears.
 
-This example shows the meaning of the costates: they are antiparallel to the heading, so that the steering law, d(tan
-theta)/dt = k, is the adjoint equation lam_y' = k lam_x. The boat first climbs 1 m past the target in y, where the
-current runs towards it, and drops back at the end.
+This example shows the meaning of the costates: they are antiparallel to the heading, so that the steering law
+:math:`d(\tan\theta)/dt = k` is the adjoint equation :math:`\dot\lambda_y = k \lambda_x`. The boat first climbs 1 m
+past the target in y, where the current runs towards it, and drops back at the end.
 
 States: ``x``, ``y`` (m). Control: ``theta``, the heading (rad). The boat makes V = 1 m/s through water that flows with
 -k y in x, k = 1/s.
@@ -10,8 +10,11 @@ States: ``x``, ``y`` (m). Control: ``theta``, the heading (rad). The boat makes 
 .. math::
    \dot x = V \cos\theta - k y, \qquad \dot y = V \sin\theta
 
-In closed form, with s = sec(theta) and T = tan(theta), theta_f the heading at home (V = k = 1):
-y = s - s_f, x = F(theta) - F(theta_f), F = (ln|s + T| - s T) / 2 + s_f T, t = T - T_0.
+In closed form, with :math:`s = 1 / \cos\theta`, :math:`T = \tan\theta` and the heading :math:`\theta_f` at home
+(V = k = 1):
+
+.. math::
+   y = s - s_f, \quad x = F(\theta) - F(\theta_f), \quad F = \tfrac12 (\ln|s + T| - s T) + s_f T, \quad t = T - T_0
 
 Source: Zermelo, 1931; Bryson and Ho, Applied Optimal Control, 1975, section 2.7 (5.46 s, 105 to 240 degrees).
 """

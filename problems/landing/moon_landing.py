@@ -9,8 +9,11 @@ States: ``h`` (m), ``v`` (m/s, upwards). Control: ``thrust`` per mass (m/s²), 0
 .. math::
    \dot h = v, \qquad \dot v = u - g, \qquad J = \int_0^{t_f} u\,dt
 
-Closed form: u = 0 until the switch at t_s = (2√17 - 4)/3, then 3 until t_f = 2 t_s + 4/3; J = 2√17;
-λ_h = 3/(2√17), λ_v = -1 + λ_h (t_s - t).
+Closed form: the control is 0 until the switch at :math:`t_s`, then 3 until :math:`t_f`:
+
+.. math::
+   t_s = \frac{2 \sqrt{17} - 4}{3}, \quad t_f = 2 t_s + \tfrac43, \quad J = 2 \sqrt{17}, \quad
+   \lambda_h = \frac{3}{2 \sqrt{17}}, \quad \lambda_v = -1 + \lambda_h (t_s - t)
 
 Source: Meditch, On the problem of optimal thrust programming for a lunar soft landing, IEEE Trans. Automatic
 Control 9 (4), 1964.

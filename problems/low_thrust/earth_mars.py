@@ -1,9 +1,9 @@
 r"""Earth to Mars: electric propulsion with minimum propellant in 348.79 days.
 
-This example shows the switching function of the magnitude, Lawden's c |p| / m minus the costate of the mass, with the
-primer vector p = -lam_v. The optimum thrusts, coasts, thrusts, coasts and thrusts. During a coast the direction of
-the thrust is arbitrary. A vector control permits this; the constraint ``T @ T <= d**2`` would have a singular
-Jacobian.
+This example shows the switching function of the magnitude, Lawden's :math:`c \|p\| / m` minus the costate of the
+mass, with the primer vector :math:`p = -\lambda_v`. The optimum thrusts, coasts, thrusts, coasts and thrusts. During
+a coast the direction of the thrust is arbitrary. A vector control permits this; the constraint ``T @ T <= d**2``
+would have a singular Jacobian.
 
 States: ``r`` (km), ``v`` (km/s) about the Sun, ``mass`` (kg). Control: ``T`` (N), at most 0.5 N, specific impulse
 2000 s.

@@ -45,7 +45,7 @@ def build() -> go.Problem:
         {r: v_r, theta: v_t / r, v_r: v_t**2 / r - 1 / r**2 + push * u[0], v_t: -v_r * v_t / r + push * u[1]}
     )
 
-    problem = go.Problem("orbit raising with eclipses")
+    problem = go.Problem("orbit raising with eclipses", time_unit="√(R³/μ)")
     leg = problem.phase("transfer", tug)
     leg.time(initial=0.0, final=(5.0, 100.0))
     first, last = START**-0.5, TARGET**-0.5

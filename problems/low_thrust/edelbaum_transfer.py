@@ -2,7 +2,7 @@ r"""Edelbaum's transfer: a low-thrust transfer with a plane change.
 
 This example shows averaging: over hundreds of revolutions only speed and inclination matter, and the yaw angle of the
 thrust changes sign every half revolution. The optimum is a straight line in the plane of polar coordinates (speed,
-pi/2 times inclination).
+:math:`\pi/2` times inclination).
 
 States: circular speed ``V`` (km/s), inclination change ``i`` (rad). Control: ``yaw`` (rad). Time is the velocity change
 spent, since the acceleration is constant.

@@ -48,7 +48,7 @@ def spacecraft(name: str, thrusting: bool) -> go.Model:
 
 def build() -> go.Problem:
     """Return the problem."""
-    problem = go.Problem("orbit raising by finite burns")
+    problem = go.Problem("orbit raising by finite burns", time_unit="√(r³/μ)")
     legs = []
     for name, angle in ANGLES.items():
         leg = problem.phase(name, spacecraft(name, angle is not None))

@@ -12,7 +12,10 @@ accelerations q, s, w,
 .. math::
    \dot P = \frac{2 P}{W} \sqrt{\tfrac{P}{\mu}} s, \quad
    \dot e_x = \sqrt{\tfrac{P}{\mu}} \Big( \sin L \, q + \big(\cos L + \tfrac{e_x + \cos L}{W}\big) s
-   - \tfrac{Z e_y}{W} w \Big), \quad \dot h_x = \sqrt{\tfrac{P}{\mu}} \frac{C \cos L}{2 W} w, \quad
+   - \tfrac{Z e_y}{W} w \Big)
+
+.. math::
+   \dot h_x = \sqrt{\tfrac{P}{\mu}} \frac{C \cos L}{2 W} w, \quad
    \dot L = \sqrt{\tfrac{\mu}{P^3}} W^2 + \sqrt{\tfrac{P}{\mu}} \frac{Z}{W} w, \quad \dot m = -\beta \|T\|
 
 and ey, hy likewise.

@@ -56,7 +56,7 @@ def build() -> go.Problem:
         }
     )
 
-    problem = go.Problem("low-thrust raising with oblateness")
+    problem = go.Problem("low-thrust raising with oblateness", time_unit="rad")
     leg = problem.phase("transfer", satellite)
     leg.time(initial=0.0, final=(2 * np.pi * 2, 2 * np.pi * 40))
     leg.initial(p=START, f=0.0, g=0.0, h=FIRST_TILT, k=0.0, t=0.0)

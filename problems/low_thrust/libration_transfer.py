@@ -50,7 +50,7 @@ def build(duration: float = DURATION) -> go.Problem:
         }
     )
 
-    problem = go.Problem("libration transfer")
+    problem = go.Problem("libration transfer", time_unit="month/2π")
     transfer = problem.phase("transfer", probe)
     transfer.time(initial=0.0, final=duration)
     transfer.initial(x=L1, y=0.0, vx=0.0, vy=0.0)

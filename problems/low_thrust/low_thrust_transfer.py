@@ -8,12 +8,14 @@ States: ``p`` (ft), ``f``, ``g``, ``h``, ``k``, ``L`` (rad), ``w`` (weight, lb).
 thrust in radial, transverse and normal components, a unit vector. Free parameter: the throttle factor ``tau`` in -50
 to 0.
 
-With q = 1 + f cos L + g sin L, s^2 = 1 + h^2 + k^2, z = h sin L - k cos L and the acceleration (D_r, D_t, D_n):
+With :math:`q = 1 + f \cos L + g \sin L`, :math:`z = h \sin L - k \cos L` and the acceleration
+:math:`(D_r, D_t, D_n)`:
 
 .. math::
    \dot p = \frac{2p}{q}\sqrt{\frac p\mu} D_t, \quad
    \dot f = \sqrt{\frac p\mu}\Big(\sin L\, D_r + \frac{(q+1)\cos L + f}{q} D_t - \frac{g z}{q} D_n\Big), \quad \dots
 
+.. math::
    \dot L = \sqrt{\mu p}\,(q/p)^2 + \frac zq \sqrt{\frac p\mu} D_n, \qquad \dot w = -T (1 + \tau/100) / I_{sp}
 
 J2 to J4 of the Earth act besides the thrust. Maximise w at the end, on an orbit of given size, shape and inclination.

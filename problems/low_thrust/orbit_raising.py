@@ -42,7 +42,7 @@ def build(duration: float = 3.32) -> go.Problem:
     a = ACCELERATION / (1 - MASS_RATE * ship.time)
     ship.ode({r: v_r, v_r: v_t**2 / r - 1 / r**2 + a * direction[0], v_t: -v_r * v_t / r + a * direction[1]})
 
-    problem = go.Problem("orbit raising")
+    problem = go.Problem("orbit raising", time_unit="√(AU³/μ)")
     transfer = problem.phase("transfer", ship)
     transfer.time(initial=0.0, final=duration)
     transfer.initial(r=1.0, v_r=0.0, v_t=1.0)

@@ -12,7 +12,9 @@ With :math:`q = 1 + f \cos L + g \sin L`, :math:`s^2 = 1 + h^2 + k^2` and the pe
 .. math::
    \dot p = \frac{2 p}{q} \sqrt{\tfrac{p}{\mu}} \Delta_t, \quad
    \dot f = \sqrt{\tfrac{p}{\mu}} \Big( \sin L \, \Delta_r + \tfrac{(q + 1) \cos L + f}{q} \Delta_t
-   - \tfrac{g (h \sin L - k \cos L)}{q} \Delta_n \Big), \quad
+   - \tfrac{g (h \sin L - k \cos L)}{q} \Delta_n \Big)
+
+.. math::
    \dot h = \sqrt{\tfrac{p}{\mu}} \frac{s^2 \cos L}{2 q} \Delta_n, \quad
    \dot w = -\frac{T}{I_{sp}}
 

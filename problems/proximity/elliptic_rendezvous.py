@@ -69,7 +69,7 @@ def build(eccentricity: float = ECCENTRICITY) -> go.Problem:
     gravity = 3 / (1 + eccentricity * ca.cos(chaser.time))
     chaser.ode({x: vx, y: vy, vx: 2 * vy + gravity * x + a[0], vy: -2 * vx + a[1]})
 
-    problem = go.Problem("rendezvous on an ellipse")
+    problem = go.Problem("rendezvous on an ellipse", time_unit="rad")
     approach = problem.phase("approach", chaser)
     approach.time(initial=FIRST, final=LAST)
     approach.initial(**dict(zip(STATES, START, strict=True)))

@@ -58,7 +58,7 @@ def build() -> go.Problem:
         }
     )
 
-    problem = go.Problem("station keeping")
+    problem = go.Problem("station keeping", time_unit="days")
     cycle = problem.phase("cycle", satellite)
     cycle.time(initial=0.0, final=CYCLE)
     cycle.bounds(a=(-1.0, 1.0), lam=(-0.1, 0.1), D=(-0.1, 0.1), ex=(-5.0, 5.0), ey=(-5.0, 5.0))

@@ -7,8 +7,9 @@ States: ``x1``, ``x2`` (m), ``v1``, ``v2`` (m/s), tilt ``alpha`` (rad), ``w`` (r
 and ``u2`` along the fan (N).
 
 .. math::
-   m \ddot x_1 = u_1 \cos\alpha - u_2 \sin\alpha, \quad m \ddot x_2 = -m g + u_1 \sin\alpha + u_2 \cos\alpha, \quad
-   J \ddot\alpha = r u_1, \qquad J = \int 2 u_1^2 + u_2^2 \, dt + 1000 \, t_f
+   m \ddot x_1 = u_1 \cos\alpha - u_2 \sin\alpha, \quad m \ddot x_2 = -m g + u_1 \sin\alpha + u_2 \cos\alpha
+
+.. math:: J \ddot\alpha = r u_1, \qquad J = \int 2 u_1^2 + u_2^2 \, dt + 1000 \, t_f
 
 Source: K. Graichen and N. Petit, Incorporating a class of constraints into the dynamics of optimal control problems,
 Optimal Control Applications and Methods 30 (2009) 537-561; the problem ``ducted_fan`` of OptimalControlProblems.jl.

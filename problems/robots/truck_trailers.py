@@ -8,7 +8,9 @@ States: last trailer ``x2``, ``y2`` (m), headings ``th0``, ``th1``, ``th2`` of t
 
 .. math::
    \dot\theta_0 = \frac{v_0}{L_0} \tan\delta, \quad
-   \dot\theta_1 = \frac{v_0}{L_1} \sin\beta_{01} - \frac{M_0}{L_1} \cos\beta_{01} \dot\theta_0, \quad
+   \dot\theta_1 = \frac{v_0}{L_1} \sin\beta_{01} - \frac{M_0}{L_1} \cos\beta_{01} \dot\theta_0
+
+.. math::
    v_1 = v_0 \cos\beta_{01} + M_0 \sin\beta_{01} \dot\theta_0, \qquad
    J = t_f + \int \beta_{01}^2 + \beta_{12}^2 \, dt
 

@@ -84,7 +84,7 @@ def test_every_control_component_has_its_switching_function_underneath(cart: go.
     figure = plot_controls(cart)
     assert len(figure.axes) == 4
     assert figure.axes[0].get_ylabel() == r"$a_{\mathrm{1}}$ (m/s$^{2}$)"
-    assert figure.axes[1].get_ylabel().endswith("(J/s/(m/s$^{2}$))")
+    assert figure.axes[1].get_ylabel().endswith("(J s/m)")
     bottom, top = figure.axes[0].get_ylim()
     assert bottom < -1.2 and top > 1.2  # the bounds are in sight
 
@@ -177,15 +177,15 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (format_variable_name("omega"), r"$\omega$"),
+        (format_variable_name("lam") + format_variable_name("vx"), r"$\lambda$$v_{\mathrm{x}}$"),
         (format_variable_name("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
         (format_variable_name("inertia[0]"), r"$\mathrm{inertia}_{\mathrm{1}}$"),
         (format_variable_name("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
         (format_variable_name("mass"), "mass"),
         (format_unit("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
-        (format_unit_quotient("s", "m"), "s/m"),
+        (format_unit_quotient("m/s/s", "m/s^2"), ""),
         (format_unit_quotient("", "N m"), "1/(N m)"),
-        (format_unit_quotient("s", ""), "s"),
+        (format_unit_quotient("N^2 m^2 s/kg", "s^2 N"), "N m^2/(s kg)"),
     ],
 )
 def test_typesetting(text: str, expected: str) -> None:
