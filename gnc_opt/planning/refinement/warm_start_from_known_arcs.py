@@ -30,10 +30,10 @@ from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     SwitchedFlow,
+    SwitchStep,
     satisfies_inequality_limits,
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
-from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus

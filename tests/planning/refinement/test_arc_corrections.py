@@ -16,7 +16,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import LinearPathLimits
-from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
     find_simultaneous_switches,

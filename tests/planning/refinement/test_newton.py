@@ -20,16 +20,17 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement import warm_start_from_known_arcs as v
 from gnc_opt.planning.refinement.switching import bang_bang_extremal as c
+from gnc_opt.planning.refinement.switching import bang_bang_extremal as switch_step
 from gnc_opt.planning.refinement.switching import newton_iteration as n
-from gnc_opt.planning.refinement.switching import newton_step as switch_step
-from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow, collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
-from gnc_opt.planning.refinement.switching.newton_step import (
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
+    SwitchedFlow,
     are_gradients_independent,
+    collocate_trajectory,
     compute_newton_step,
     compute_simplified_step,
     minimise_quadratic_model,
 )
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.

@@ -20,9 +20,9 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     KinkedTerms,
     has_kinks_in_endpoint_functions,
 )
-from gnc_opt.planning.problem.reformulation.unit_vector_controls import UnitVectorSubstitution
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
     NormSubstitution,
+    UnitVectorSubstitution,
     find_norm_vector,
     remove_norm_roots,
 )

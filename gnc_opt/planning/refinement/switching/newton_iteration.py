@@ -7,7 +7,7 @@ factorises matrices of all its points. Subarcs of zero length are removed, and a
 have the wrong sign. The resulting structure is the initial guess of the collocated problem.
 
 Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
-long as the steps decrease sufficiently fast (module `newton_step`).
+long as the steps decrease sufficiently fast (module `bang_bang_extremal`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_arc_kind
-from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
-from gnc_opt.planning.refinement.switching.newton_step import (
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
+    SwitchedFlow,
     SwitchStep,
     compute_newton_step,
     compute_simplified_step,
