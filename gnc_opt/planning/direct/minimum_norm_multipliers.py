@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
@@ -36,7 +36,7 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = convert_casadi_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    along = fixed & _mask_interior_state_variables(transcription)
+    along = fixed & transcription.mask_interior_states()  # those on active arcs
     multipliers = result.lam_g[rows], result.lam_x[along]
     r = _project_to_null_space(jacobian[:, ~fixed], jacobian[:, along], *multipliers)
     left = jacobian.T @ r
@@ -47,16 +47,6 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     lam_g[rows] -= r
     lam_x[fixed] += left[fixed]
     return replace(result, lam_g=lam_g, lam_x=lam_x)
-
-
-def _mask_interior_state_variables(transcription: Transcription) -> Mask:
-    """Return which variables are states inside a phase (n_variables,); fixed ones are on active arcs."""
-    found: Mask = np.zeros(transcription.n_variables, dtype=bool)
-    for part in transcription.parts.values():
-        found[part.collocation.point_states] = True
-        found[part.collocation.boundary_states[:, 1:-1]] = True
-        found[part.collocation.boundary_states[:, [0, -1]]] = False
-    return found
 
 
 def _project_to_null_space(free: Any, along: Any, rows: Array, limits: Array) -> Array:

@@ -329,16 +329,9 @@ class NullSpace:
         """Return the saddle-point matrix of the identity and its solver, a projection onto the null space."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
-    def invert_projected_hessian(self, hessian: Any) -> Callable[[Array], Array]:
-        """Return the inverse of a Hessian restricted to the null space."""
-        return self._project_inverse(*self.factorise_hessian(hessian))
-
-    @property
-    def projection_operator(self) -> Callable[[Array], Array]:
-        """Projection of variations onto the null space."""
-        return self._project_inverse(*self.factorise_identity)
-
-    def _project_inverse(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    def invert_projected_hessian(self, hessian: Any = None) -> Callable[[Array], Array]:
+        """Return the inverse of a Hessian restricted to the null space; without a Hessian the projection onto it."""
+        matrix, solve = self.factorise_identity if hessian is None else self.factorise_hessian(hessian)
         rows = np.zeros(self.jacobian.shape[0])
 
         def apply_projected_inverse(vector: Array) -> Array:

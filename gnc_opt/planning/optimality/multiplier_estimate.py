@@ -357,10 +357,8 @@ def _sample_trajectory_variables(
 
 def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
     """Return the rows of the adjoint equation between restarts, which hold exactly for any costates there."""
-    rows = np.zeros(transcription.n_variables, dtype=bool)
+    rows = transcription.mask_interior_states()
     for name, part in transcription.parts.items():
-        rows[part.collocation.point_states] = True
-        rows[part.collocation.boundary_states[:, 1:-1]] = True
         rows[part.collocation.boundary_states[:, restarts[name]]] = False
     return rows
 

@@ -305,10 +305,8 @@ class PhaseSamples:
     @cached_property
     def control_scale(self) -> Array:
         """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
-        bounds = self.leg.control_bounds
-        span = bounds.upper - bounds.lower
-        reach = np.max(np.abs(self.u), axis=1)
-        return np.where(np.isfinite(span) & (span > 0), span, replace_tiny_divisors_by_one(reach))
+        span, reach = self.leg.control_bounds.width_or_zero, np.max(np.abs(self.u), axis=1)
+        return np.where(span > 0, span, replace_tiny_divisors_by_one(reach))
 
     @cached_property
     def cost_scale(self) -> float:

@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -165,6 +165,15 @@ class NlpLayout:
         self.n_constraints = self._first_end_row + len(self._end_labels)
         first = self._first_end_row + len(self._durations) + len(self._arcs)
         self.constraint_rows = first + np.arange(len(self.problem.constraint_labels()))
+
+    def mask_interior_states(self) -> Mask:
+        """Return which variables are states inside a phase (n_variables,)."""
+        found: Mask = np.zeros(self.n_variables, dtype=bool)
+        for part in self.parts.values():
+            found[part.collocation.point_states] = True
+            found[part.collocation.boundary_states[:, 1:-1]] = True
+            found[part.collocation.boundary_states[:, [0, -1]]] = False
+        return found
 
     # --- labels -----------------------------------------------------------------------------------
 

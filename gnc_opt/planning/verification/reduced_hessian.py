@@ -305,7 +305,7 @@ def _find_direction_of_least_curvature(space: NullSpace, hessian: Any, steep: bo
 
 def _find_negative_curvature_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return a direction of large negative curvature, whose inverse vanishes; None without one."""
-    project = space.projection_operator
+    project = space.invert_projected_hessian()
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):

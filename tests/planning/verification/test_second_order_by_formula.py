@@ -95,10 +95,10 @@ def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
     find = reduced_hessian._find_negative_curvature_direction
     for least, found in ((-1.1e4, True), (-0.9e4, False)):
         hessian = scipy.sparse.diags_array([3.0, least, 2e4, 1.0])
-        direction = find(fake(projection_operator=lambda v: v), hessian)
+        direction = find(fake(invert_projected_hessian=lambda: lambda v: v), hessian)
         assert (direction is not None) is found
-    assert find(fake(projection_operator=lambda v: 0 * v), hessian) is None
-    direction = find(fake(projection_operator=lambda v: v), -hessian)
+    assert find(fake(invert_projected_hessian=lambda: lambda v: 0 * v), hessian) is None
+    direction = find(fake(invert_projected_hessian=lambda: lambda v: v), -hessian)
     np.testing.assert_allclose(np.abs(direction), [0.0, 0.0, 1.0, 0.0], atol=1e-9)
 
 

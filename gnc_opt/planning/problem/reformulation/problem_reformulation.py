@@ -21,9 +21,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     has_kinks_in_endpoint_functions,
 )
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
-    NormSubstitution,
-    UnitVectorSubstitution,
-    find_norm_vector,
+    find_vector_substitution,
     remove_norm_roots,
 )
 from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
@@ -57,9 +55,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         box = find_nonimplied_bounds(problem, phase)
         signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (
-            form := problem.memoize(("form", *key), partial(_find_vector_norm_substitution, phase))
-        ) is not None:
+        while (form := problem.memoize(("form", *key), partial(find_vector_substitution, phase))) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
             key = _reformulate_kinks_of_kind(problem, phase, key, kind)
@@ -78,13 +74,6 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     if form.texts:
         form.reformulate_endpoint_functions(twin)
     return form.cache_key if form.texts else ()
-
-
-def _find_vector_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
-    names = find_norm_vector(phase)
-    if names is None:
-        return UnitVectorSubstitution.find_first_unit_vector(phase)
-    return NormSubstitution.from_phase(phase, names)
 
 
 def _reformulate_kinks_of_kind(

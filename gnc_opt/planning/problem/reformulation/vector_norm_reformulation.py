@@ -61,10 +61,14 @@ from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expression
 Names: TypeAlias = tuple[str, ...]
 
 
-def find_norm_vector(phase: Phase) -> Names | None:
-    """Return the controls of the largest vector whose norm is a square root or is limited by a control."""
+def find_vector_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
+    """Return the form for the largest vector whose norm is a root or limited by a control, else for a unit vector."""
     limited = (names for names, _, _ in _find_norm_limits(phase))
-    return max([*_find_vectors_in_norms(phase), *limited], key=len, default=None)
+    names = max([*_find_vectors_in_norms(phase), *limited], key=len, default=None)
+    if names is not None:
+        return NormSubstitution.from_phase(phase, names)
+    unit = next(_find_unit_vectors(phase), None)
+    return None if unit is None else UnitVectorSubstitution.from_unit_vector(phase, *unit)
 
 
 def index_control_symbols(phase: Phase) -> dict[int, int]:
@@ -395,11 +399,6 @@ class UnitVectorSubstitution(ReformulatedPhase):
 
     names: tuple[str, str]
     control: VectorControl
-
-    @classmethod
-    def find_first_unit_vector(cls, phase: Phase) -> UnitVectorSubstitution | None:
-        """Return the form for the first unit vector with a magnitude among the controls, or None."""
-        return next((cls.from_unit_vector(phase, *found) for found in _find_unit_vectors(phase)), None)
 
     @classmethod
     def from_unit_vector(cls, phase: Phase, name: str, magnitude: str, label: str) -> UnitVectorSubstitution:

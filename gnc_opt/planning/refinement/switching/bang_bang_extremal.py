@@ -116,13 +116,6 @@ def compute_simplified_step(
     return ends.build_step(change, gain, adjoint, multipliers, matrices, steps)
 
 
-def differentiate_cost_by_final_state(
-    problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array
-) -> Array:
-    """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
-    return _EndConditions(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
-
-
 class _EndConditions:
     """Flow, its end conditions and their residuals ``misses``: given final values, then boundary constraints.
 
@@ -329,7 +322,8 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    hamiltonian_gap = differentiate_cost_by_final_state(problem, s, flow, flight.step.multipliers)
+    conditions = _EndConditions(problem, s, flow)
+    hamiltonian_gap = conditions.compute_lagrangian_derivatives(flight.step.multipliers)[0]
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(hamiltonian_gap)[:n, ::parts]
     at = np.add.outer(steps * np.arange(mesh.segments), np.searchsorted(places, rule.points)).ravel()
     u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(phase.path_labels), mesh.size))
