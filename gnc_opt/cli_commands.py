@@ -22,7 +22,7 @@ from gnc_opt.problem_files_and_examples import (
     parse_build_option,
 )
 from gnc_opt.templates import write_template_file
-from gnc_opt.text_html_and_json_formatting import format_json, pluralise
+from gnc_opt.text_html_and_json_formatting import format_json, pluralise_noun
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -213,13 +213,14 @@ def _format_problem_summary(file: ProblemFile, problem: Problem) -> str:
     for phase in problem.phases.values():
         states, controls = phase.model.states, phase.model.controls
         lines.append(
-            f"  phase {phase.name}: {pluralise(states.size, 'state')} ({', '.join(states.names)}), "
-            f"{pluralise(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{pluralise(len(phase.path_labels), 'path constraint')}, {pluralise(len(phase.integrands), 'integral')}"
+            f"  phase {phase.name}: {pluralise_noun(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{pluralise_noun(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{pluralise_noun(len(phase.path_labels), 'path constraint')}, "
+            f"{pluralise_noun(len(phase.integrands), 'integral')}"
         )
     lines.append(
-        f"  {pluralise(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{pluralise(problem.parameters.size, 'free parameter')}, "
+        f"  {pluralise_noun(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{pluralise_noun(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())

@@ -28,7 +28,7 @@ def format_html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -
     return f'<div class="wide{kind}"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
-def pluralise(number: int, noun: str) -> str:
+def pluralise_noun(number: int, noun: str) -> str:
     """Return "1 state", "2 states"."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
@@ -103,14 +103,14 @@ def _format_html_table_cells(tag: str, values: Iterable[object]) -> str:
     return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
 
 
-def convert_to_json(value: Any) -> Any:
+def convert_to_json_values(value: Any) -> Any:
     """Return JSON values: NumPy scalars and arrays converted, non-finite numbers as None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {key: convert_to_json(item) for key, item in value.items()}
+        return {key: convert_to_json_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [convert_to_json(item) for item in value]
+        return [convert_to_json_values(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -121,8 +121,10 @@ def build_attribute_dict(value: Any, *names: str) -> dict[str, Any]:
 
 
 def format_json(content: Any, indent: int | None = 2) -> str:
-    """Return `convert_to_json` of content as text with a trailing newline."""
-    return json.dumps(convert_to_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    """Return `convert_to_json_values` of content as text with a trailing newline."""
+    return (
+        json.dumps(convert_to_json_values(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    )
 
 
 GREEK_NAMES = (

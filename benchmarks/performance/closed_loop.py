@@ -128,7 +128,7 @@ def plain_inputs(
     generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([campaign.seed, index])))
     known = np.zeros((flight.kernel.known.size, flight.n_steps))
     known[first:] = generator.standard_normal((flight.n_steps, known.shape[0] - first)).T
-    return parameters, flight.kernel.known.split_column(known)
+    return parameters, flight.kernel.known.split_vector_by_name(known)
 
 
 def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:

@@ -123,7 +123,7 @@ class Linearization:
         C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
         for row in self._iterate_noise_free_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
-        final = kernel.state.split_column(X)["memory"]
+        final = kernel.state.split_vector_by_name(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
     def linearize_control_steps(self, X: Array) -> Iterator[LinearStep]:
@@ -173,7 +173,7 @@ class Linearization:
     @property
     def _state_indices_by_variable(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
-        return kernel_state.split_column(np.arange(kernel_state.size))
+        return kernel_state.split_vector_by_name(np.arange(kernel_state.size))
 
     @cached_property
     def noise_input_indices(self) -> list[int]:
@@ -189,7 +189,7 @@ class Linearization:
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
-        logged = self.flight.kernel.log.split_column(log)
+        logged = self.flight.kernel.log.split_vector_by_name(log)
         y = ca.vertcat(*[logged[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
         jacobians = [

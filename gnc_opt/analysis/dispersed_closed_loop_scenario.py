@@ -82,7 +82,7 @@ class Scenario:
         """Targets of the runs, and user-defined measures."""
         return read_success_criteria(self.target, self.measures)
 
-    def check_measure_name(self, measure: str) -> None:
+    def check_performance_measure_name(self, measure: str) -> None:
         """Raise an error if the name is not a measure of the runs."""
         if measure not in self.success_criteria.measures:
             self.simulate_campaign(np.empty((self.compiled_loop.layout.size, 0)), []).measure(measure)
@@ -100,9 +100,9 @@ class Scenario:
         batches = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
         goal = self.success_criteria.read_target_states(self.compiled_loop)
         campaign = merge_run_batches(self.compiled_loop, batches, seed=0, asked=len(runs), goal=goal)
-        return self.success_criteria.add_criteria_to_campaign(campaign) if runs else campaign
+        return self.success_criteria.apply_success_criteria(campaign) if runs else campaign
 
-    def compute_measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
+    def compute_performance_measure(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""
         campaign = self.simulate_campaign(P, seeds)
         completed = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
@@ -119,7 +119,7 @@ def run_tasks_in_workers(
 ) -> list[Any]:
     """Return the results of a method of ``work`` for all tasks; raise `GncOptError` if one has no result."""
     remedy = 'define measures= functions at the top of a module, or use executor="serial"'
-    with WorkerPool(SharedObject.from_picklable(work, name, remedy), executor, name) as pool:
+    with WorkerPool(SharedObject.wrap_picklable_object(work, name, remedy), executor, name) as pool:
         done = pool.map(method, tasks, lambda _: None)
     errors = [each.error for each in done if each.answer is None]
     if errors or len(done) < len(tasks):

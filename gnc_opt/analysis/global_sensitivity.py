@@ -28,7 +28,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batches_and_checkpoints import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
-from gnc_opt.simulation.dispersions import draw_parameters
+from gnc_opt.simulation.dispersions import draw_dispersed_parameters
 from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 NOISE = "noise"
@@ -145,7 +145,7 @@ def sobol_indices(
     """
     name = "sobol_indices()"
     require_type(scenario, Scenario, f"the argument of {name}", "give a Scenario")
-    scenario.check_measure_name(measure)
+    scenario.check_performance_measure_name(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _SobolDesign(scenario, measure)
@@ -214,7 +214,8 @@ class _SobolDesign:
         flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (
             np.stack(
-                [draw_parameters(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1
+                [draw_dispersed_parameters(dispersions, flight.layout, flight.nominal, s, i) for i in rows],
+                axis=1,
             )
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
@@ -232,4 +233,4 @@ class _SobolDesign:
         return np.stack(found)
 
     def _simulate_performance_measures(self, P: Array, seeds: list[list[int]]) -> Array:
-        return self.scenario.compute_measure_values(self.measure, P, seeds)
+        return self.scenario.compute_performance_measure(self.measure, P, seeds)

@@ -32,7 +32,7 @@ from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_html_and_json_formatting import PrintableResult, pluralise
+from gnc_opt.text_html_and_json_formatting import PrintableResult, pluralise_noun
 
 
 def format_covariance_table(found: LinearCovariance) -> str:
@@ -41,7 +41,8 @@ def format_covariance_table(found: LinearCovariance) -> str:
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
-        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {pluralise(len(found.sources), 'source')}",
+        f"linear covariance over {found.times[-1] - found.times[0]:g} s, "
+        f"{pluralise_noun(len(found.sources), 'source')}",
         f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:
@@ -222,10 +223,10 @@ class _CovariancePropagation:
     # --- internals ----------------------------------------------------------------------------------------
 
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
-        places = self.linearization.linearised_state_layout.split_column(np.arange(scatter.state_dimension))[
-            "plant"
-        ]
-        x = self.flight.kernel.state.split_column(X)["plant"]
+        places = self.linearization.linearised_state_layout.split_vector_by_name(
+            np.arange(scatter.state_dimension)
+        )["plant"]
+        x = self.flight.kernel.state.split_vector_by_name(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.state_dimension))
         to_errors[:, places] = self._state_error_jacobian(x).full()
         errors = scatter.transform_deviations_linearly(to_errors)
@@ -234,8 +235,8 @@ class _CovariancePropagation:
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
     def _store_output_covariances(self, y: Array, scatter: StateDeviations) -> None:
-        values = self.linearization.linearised_output_layout.split_column(y)
-        places = self.linearization.linearised_output_layout.split_column(np.eye(y.size))
+        values = self.linearization.linearised_output_layout.split_vector_by_name(y)
+        places = self.linearization.linearised_output_layout.split_vector_by_name(np.eye(y.size))
         for kind, name in _KINDS.items():
             part = scatter.transform_deviations_linearly(places[name])
             self.values[kind].append(values[name])

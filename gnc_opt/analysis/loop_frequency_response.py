@@ -249,7 +249,7 @@ def loop_response(
     wanted = np.unique(np.searchsorted(flight.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
-    rows = linearization.linearised_output_layout.split_column(
+    rows = linearization.linearised_output_layout.split_vector_by_name(
         np.arange(linearization.linearised_output_layout.size)
     )["commands"]
     found = []

@@ -255,7 +255,7 @@ class Replanner:
         for share in (0.0, 0.5):
             t = phase.initial_time + share * phase.duration
             try:
-                own, found = row(t), self.evaluate_schedule(self.plan, np.array([t]), dt, signals.size)
+                own, found = row(t), self.evaluate_plan_schedule(self.plan, np.array([t]), dt, signals.size)
             except GncOptError:
                 raise
             except Exception as error:
@@ -269,7 +269,7 @@ class Replanner:
                     "this plan, and give follow= a function that returns the schedule of a plan."
                 )
 
-    def evaluate_schedule(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
+    def evaluate_plan_schedule(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
         """Return the schedule (size, n_times) of a plan at times (s)."""
         rows = np.asarray(self.follow(plan)(times, dt), dtype=float)
         if rows.shape != (size, times.size):

@@ -37,7 +37,7 @@ from gnc_opt.model.model_variables import (
     read_vector,
 )
 from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.text_html_and_json_formatting import pluralise
+from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 
 class StateDifferences:
@@ -210,8 +210,8 @@ class Model(StrictAttributes):
 
     def __repr__(self) -> str:
         return (
-            f"Model({self.name!r}: {pluralise(self.states.size, 'state')}, "
-            f"{pluralise(self.controls.size, 'control')}, {pluralise(self.parameters.size, 'parameter')})"
+            f"Model({self.name!r}: {pluralise_noun(self.states.size, 'state')}, "
+            f"{pluralise_noun(self.controls.size, 'control')}, {pluralise_noun(self.parameters.size, 'parameter')})"
         )
 
     # --- declarations -----------------------------------------------------------------------------

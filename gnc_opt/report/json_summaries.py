@@ -12,7 +12,7 @@ from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import find_available_accuracy, list_points_outside_tables
 from gnc_opt.planning.study.multistart_search import Multistart
-from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json, format_json
+from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json_values, format_json
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     accuracy = find_available_accuracy(solution)
     spent = solution.statistics
     return dict(
-        convert_to_json(
+        convert_to_json_values(
             {
                 "schema": SCHEMA,
                 "problem": solution.problem_name,

@@ -25,7 +25,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_number,
     typeset_variable_name,
 )
-from gnc_opt.text_html_and_json_formatting import Html, format_html_table, pluralise
+from gnc_opt.text_html_and_json_formatting import Html, format_html_table, pluralise_noun
 
 _TIME = "<mi>t</mi>"
 
@@ -247,7 +247,7 @@ def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
             )
     text = _format_equations_as_mathml(writer, rows)
     if count := len(writer.auxiliary):
-        words = f"By component, as in the program ({pluralise(count, 'repeated term')})"
+        words = f"By component, as in the program ({pluralise_noun(count, 'repeated term')})"
         text = f"<details open><summary>{words}</summary>{text}</details>"
     if phase.integrands:
         integrals = [

@@ -60,7 +60,7 @@ from gnc_opt.text_html_and_json_formatting import (
     Html,
     format_html_table,
     format_unit_quotient,
-    pluralise,
+    pluralise_noun,
     simplify_time_integral_unit,
 )
 
@@ -282,8 +282,10 @@ def _describe_states_and_controls(phase: PhaseSolution) -> str:
         f"{name} ({format_interval_limits(phase.control_bounds, rows)} {unit}".rstrip() + ")"
         for name, rows, unit in iterate_variables_with_rows(phase.controls)
     ]
-    return f"{pluralise(phase.states.size, 'state')}: {', '.join(phase.states.names)}; " + (
-        f"{pluralise(phase.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
+    return f"{pluralise_noun(phase.states.size, 'state')}: {', '.join(phase.states.names)}; " + (
+        f"{pluralise_noun(phase.controls.size, 'control')}: {', '.join(controls)}"
+        if controls
+        else "no controls"
     )
 
 

@@ -32,7 +32,7 @@ class ColumnLayout:
             out[name], at = slice(at, at + n), at + n
         return out
 
-    def split_column(self, column: Any) -> dict[str, Any]:
+    def split_vector_by_name(self, column: Any) -> dict[str, Any]:
         """Return the parts (rows) of a column or an array by name."""
         if isinstance(column, (ca.SX, ca.MX)):
             return {
@@ -41,7 +41,7 @@ class ColumnLayout:
             }
         return {name: column[place] for name, place in self.slices.items()}
 
-    def stack_column(self, values: Mapping[str, Any]) -> Any:
+    def stack_vector_by_name(self, values: Mapping[str, Any]) -> Any:
         return ca.vertcat(*[values[name] for name, _ in self.parts])
 
 
@@ -60,7 +60,7 @@ class BlockLink:
     outputs: Kinds
 
 
-def map_signal_sizes(layout: Layout) -> Kinds:
+def get_signal_sizes_and_units(layout: Layout) -> Kinds:
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 

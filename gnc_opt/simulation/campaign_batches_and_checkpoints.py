@@ -17,7 +17,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, format_exception
 from gnc_opt.simulation.campaign_results import Campaign
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
-from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
+from gnc_opt.simulation.dispersions import Dispersions, draw_dispersed_parameters
 from gnc_opt.simulation.final_states_and_integration_error import FinalValues
 from gnc_opt.simulation.recorded_extremes_and_integrals import select_quantity_sample_steps
 from gnc_opt.simulation.simulation_run_outcome import Outcome, RunStatus
@@ -80,7 +80,9 @@ def _require_checkpoint_of_same_campaign(part: Campaign, mission: CampaignTask, 
     elif part.seed != mission.seed:
         why = f"the seed {part.seed}, not {mission.seed}"
     elif not np.array_equal(
-        part.parameters[:, 0], mission.draw_parameters(range(first, first + 1))[:, 0], equal_nan=True
+        part.parameters[:, 0],
+        mission.draw_dispersed_parameters(range(first, first + 1))[:, 0],
+        equal_nan=True,
     ):
         why = "other dispersions, initial states or parameters"
     if why:
@@ -169,11 +171,11 @@ class CampaignTask:
     dispersions: Dispersions
     seed: int
 
-    def draw_parameters(self, batch: Batch) -> Array:
+    def draw_dispersed_parameters(self, batch: Batch) -> Array:
         """Return the parameter columns P (n_parameters, n) of runs."""
         flight = self.flight
         columns = [
-            draw_parameters(self.dispersions, flight.layout, flight.nominal, self.seed, index)
+            draw_dispersed_parameters(self.dispersions, flight.layout, flight.nominal, self.seed, index)
             for index in batch
         ]
         return np.stack(columns, axis=1)
@@ -181,7 +183,7 @@ class CampaignTask:
     def simulate_runs(self, batch: Batch) -> list[RunBatch]:
         """Simulate a batch of runs; runs that raise an exception are returned separately."""
         try:
-            P = self.draw_parameters(batch)
+            P = self.draw_dispersed_parameters(batch)
             return [RunBatch(batch, P, self.flight.final_values(P, [[self.seed, index] for index in batch]))]
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:

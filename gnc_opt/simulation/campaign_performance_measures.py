@@ -54,7 +54,7 @@ class Envelope:
     confidence: float
 
 
-def compute_envelope(
+def compute_percentile_envelope(
     name: str, unit: str, times: Array, samples: Array, levels: Sequence[float], confidence: float
 ) -> Envelope:
     """Return the envelope of samples (n_times, n_runs) that are NaN after the end of a run; see `Envelope`."""
@@ -132,20 +132,22 @@ class Measures:
         again = REPLANS if self._runs.replans.any() else ()
         return (*states, *self._runs.measured, *costs, *times, *way, *again)
 
-    def compute_measure_values(self, name: str) -> Array:
+    def compute_performance_measure(self, name: str) -> Array:
         """Return a measure of every run, (m,)."""
         if name in self._runs.measured:
             return np.asarray(self._runs.measured[name])
         if name in REPLANS:
             return np.asarray(self._runs.replans[REPLANS.index(name)])
         if name not in self._known:
-            self._known[name] = self._evaluate_performance_measure(*self._parse_measure_name(name))
+            self._known[name] = self._evaluate_performance_measure(
+                *self._parse_performance_measure_name(name)
+            )
         return self._known[name]
 
     def unit(self, name: str) -> str:
         if name in self._runs.measured or name in REPLANS:
             return ""
-        kind, subject = self._parse_measure_name(name)
+        kind, subject = self._parse_performance_measure_name(name)
         if kind in KEPT:
             unit = self.layout("quantity")[subject].unit
             return simplify_time_integral_unit(f"{unit} s".strip()) if kind == "integral" else unit
@@ -161,7 +163,7 @@ class Measures:
         """Return a measure in words: "final error of q", "effort of F"."""
         if name in self._runs.measured or name in REPLANS:
             return name
-        kind, subject = self._parse_measure_name(name)
+        kind, subject = self._parse_performance_measure_name(name)
         return f"{_DESCRIPTIONS.get(kind, kind)} of {format_name(subject)}"
 
     def _evaluate_performance_measure(self, kind: str, subject: str) -> Array:
@@ -181,7 +183,7 @@ class Measures:
         layout = self.layout("command" if kind == "variation" else "applied")
         return np.asarray(np.sum(getattr(runs, kind)[layout.slice(subject)], axis=0))
 
-    def _parse_measure_name(self, name: str) -> tuple[str, str]:
+    def _parse_performance_measure_name(self, name: str) -> tuple[str, str]:
         """Return kind and subject of a measure: ``"effort(F)"`` is ("effort", "F"), ``"q"`` is ("error", "q")."""
         kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
         subject = rest[:-1] if rest.endswith(")") else ""

@@ -17,7 +17,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_nan_padded_variables
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
-from gnc_opt.simulation.campaign_performance_measures import Envelope, Measures, compute_envelope
+from gnc_opt.simulation.campaign_performance_measures import Envelope, Measures, compute_percentile_envelope
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import (
     CONFIDENCE,
@@ -138,7 +138,7 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def event_occurred(self, event: str) -> Any:
         """Return whether an event occurred in each run, bool array (m,)."""
-        return self.event_counts[self._measures.layout("event").slice(event)][0] > 0
+        return self.event_counts[self._performance_measures.layout("event").slice(event)][0] > 0
 
     def measure(self, name: str) -> Array:
         """Return a measure of each run, (m,); NaN for runs without a value.
@@ -154,32 +154,34 @@ class Campaign(StrictAttributes, PrintableResult):
             ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
             numbers of successful and of failed re-plannings. Or the name of a user-defined measure.
         """
-        return self._measures.compute_measure_values(name)
+        return self._performance_measures.compute_performance_measure(name)
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
-        return self._measures.unit(name)
+        return self._performance_measures.unit(name)
 
     def describe_measure(self, name: str, format_name: Callable[[str], str] = str) -> str:
         """Return a measure in words, for example "final error of q", with ``format_name`` applied to the variable."""
-        return self._measures.describe(name, format_name)
+        return self._performance_measures.describe(name, format_name)
 
     @property
     def measures(self) -> tuple[str, ...]:
         """Names of all measures that have values."""
-        return self._measures.names
+        return self._performance_measures.names
 
     @cached_property
-    def _measures(self) -> Measures:
+    def _performance_measures(self) -> Measures:
         return Measures(self)
 
     def envelope(
         self, quantity: str, levels: Sequence[float] = (0.05, 0.5, 0.95), confidence: float = CONFIDENCE
     ) -> Envelope:
         """Return percentiles (``levels`` in (0, 1)) of a quantity over time, with confidence intervals."""
-        place = self._measures.layout("quantity").slice(quantity).start
-        unit = self._measures.layout("quantity")[quantity].unit
-        return compute_envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
+        place = self._performance_measures.layout("quantity").slice(quantity).start
+        unit = self._performance_measures.layout("quantity")[quantity].unit
+        return compute_percentile_envelope(
+            quantity, unit, self.sample_times, self.samples[place], levels, confidence
+        )
 
     @cached_property
     def ok(self) -> Any:
@@ -219,7 +221,10 @@ class Campaign(StrictAttributes, PrintableResult):
     @property
     def event_totals(self) -> dict[str, int]:
         """Number of runs in which each event occurred."""
-        return {name: int(np.sum(self.event_occurred(name))) for name in self._measures.layout("event").names}
+        return {
+            name: int(np.sum(self.event_occurred(name)))
+            for name in self._performance_measures.layout("event").names
+        }
 
     @property
     def failures(self) -> dict[int, Outcome]:
@@ -255,17 +260,17 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one row per run and one column per component; ``attrs["units"]`` has the units."""
-        return self._build_tabular_data().to_pandas()
+        return self._tabulate_results().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._build_tabular_data().to_xarray()
+        return self._tabulate_results().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._build_tabular_data().write(path)
+        return self._tabulate_results().write(path)
 
-    def _build_tabular_data(self) -> TabularData:
+    def _tabulate_results(self) -> TabularData:
         outcomes = [outcome.status.value for outcome in self.outcomes]
         measures = [
             (Variable(name, unit=self.unit(name)), self.measure(name)[None, :]) for name in self.measures

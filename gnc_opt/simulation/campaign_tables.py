@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, Percentile, share_below_maximum
-from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json
+from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json_values
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Levels of the percentiles in the output."""
@@ -67,12 +67,16 @@ def build_campaign_table_rows(
     for name in select_printed_measures(campaign):
         found = [campaign.percentile(name, level) for level in levels]
         numbers = [
-            _format_statistic(p.value) + (_format_confidence_interval(p) if intervals else "") for p in found
+            _format_performance_statistic(p.value) + (_format_confidence_interval(p) if intervals else "")
+            for p in found
         ]
         limit, passed = "", ""
         if name in campaign.limits:
-            limit, passed = _format_statistic(campaign.limits[name]), str(campaign.pass_rate(name))
-        numbers.append(_format_statistic(campaign.maximum(name)))
+            limit, passed = (
+                _format_performance_statistic(campaign.limits[name]),
+                str(campaign.pass_rate(name)),
+            )
+        numbers.append(_format_performance_statistic(campaign.maximum(name)))
         rows.append([campaign.describe_measure(name), campaign.unit(name), *numbers, limit, passed])
     if campaign.limits:
         rows.append(["all limits", *[""] * (len(levels) + 3), str(campaign.pass_rate())])
@@ -82,7 +86,7 @@ def build_campaign_table_rows(
 def _format_confidence_interval(found: Percentile) -> str:
     if not math.isfinite(found.low):
         return " (no interval)"
-    low, high = _format_statistic(found.low), _format_statistic(found.high)
+    low, high = _format_performance_statistic(found.low), _format_performance_statistic(found.high)
     return f" ({low} to {high})" if math.isfinite(found.high) else f" (above {low})"
 
 
@@ -121,7 +125,7 @@ def _format_failure_causes(campaign: CampaignStatistics) -> list[str]:
     return [*lines, f"{rest} for other causes"] if rest else lines
 
 
-def _format_statistic(value: float) -> str:
+def _format_performance_statistic(value: float) -> str:
     if not math.isfinite(value):
         return "failed"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
@@ -144,17 +148,18 @@ def build_campaign_summary_dict(campaign: CampaignStatistics) -> dict[str, Any]:
             for index, outcome in campaign.failures.items()
         ],
         "measures": {
-            name: _build_measure_statistics_dict(campaign, name) for name in select_printed_measures(campaign)
+            name: _build_performance_statistics_dict(campaign, name)
+            for name in select_printed_measures(campaign)
         }
         if runs
         else {},
         "passed": build_attribute_dict(campaign.pass_rate(), *PASSED) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
-    return dict(convert_to_json(content))
+    return dict(convert_to_json_values(content))
 
 
-def _build_measure_statistics_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
+def _build_performance_statistics_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     limited, members = name in campaign.limits, ("level", "value", "low", "high")
     return {
         "unit": campaign.unit(name),

@@ -18,9 +18,9 @@ from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import PLAUSIBLE, STEP_SLACK
 from gnc_opt.simulation.actuators.memoryless_nonlinearities import Saturation
-from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_loop
+from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_closed_loop
 from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_loop_kernel
+from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_closed_loop_kernel
 from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_nonfinite_quantity_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.recorded_extremes_and_integrals import Quantity
@@ -111,12 +111,16 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            parts = _read_instances(
+            parts = _read_closed_loop_parts(
                 getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"
             )
             set_(self, name, parts)
-        set_(self, "events", _read_instances(self.events, Event, "events", "write Event(name, expression)"))
-        quantities = _read_instances(
+        set_(
+            self,
+            "events",
+            _read_closed_loop_parts(self.events, Event, "events", "write Event(name, expression)"),
+        )
+        quantities = _read_closed_loop_parts(
             self.quantities, Quantity, "quantities", "write Quantity(name, expression)"
         )
         set_(self, "quantities", quantities)
@@ -142,7 +146,9 @@ class ClosedLoop:
         set_(
             self,
             "wiring",
-            connect_loop(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
+            connect_closed_loop(
+                self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits
+            ),
         )
 
     # --- what can be dispersed ----------------------------------------------------------------------------
@@ -249,7 +255,7 @@ class ClosedLoop:
         )
         duration = float(times[-1] - times[0])
         return accuracy.select_integration_steps(
-            lambda n: self._compile_loop(nominal, times, rows, n), modes, duration
+            lambda n: self._compile_closed_loop(nominal, times, rows, n), modes, duration
         )
 
     def _read_initial_states_and_parameters(self, nominal: Array) -> tuple[Array, Array]:
@@ -295,10 +301,10 @@ class ClosedLoop:
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
         if substeps not in self._kernels:
-            self._kernels[substeps] = build_loop_kernel(self.wiring, substeps)
+            self._kernels[substeps] = build_closed_loop_kernel(self.wiring, substeps)
         return self._kernels[substeps]
 
-    def _compile_loop(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
+    def _compile_closed_loop(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
         return CompiledLoop(
             kernel=self.kernel(substeps),
             companion=self.kernel(2 * substeps),
@@ -320,7 +326,7 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
-            classifier=self._build_outcome_classifier(),
+            classifier=self._build_run_outcome_classifier(),
             minor_steps=self.minor_steps,
             estimates=self._find_estimated_state_indices(),
             saturations={
@@ -328,7 +334,7 @@ class ClosedLoop:
             },
         )
 
-    def _build_outcome_classifier(self) -> OutcomeClassifier:
+    def _build_run_outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
             tuple(list_nonfinite_quantity_labels(self.wiring)),
             tuple(list_alarm_labels(self.wiring)),
@@ -389,7 +395,7 @@ class ClosedLoop:
         return ca.Function("e", [x, x_ref], [self.plant.state_error_expression(x, x_ref)])
 
 
-def _read_instances(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+def _read_closed_loop_parts(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {quote_value(given)}: give a list; {remedy}.")

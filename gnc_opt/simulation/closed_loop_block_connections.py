@@ -16,7 +16,7 @@ from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, connect_blocks, map_signal_sizes
+from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, connect_blocks, get_signal_sizes_and_units
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.recorded_extremes_and_integrals import Quantities, Quantity
 from gnc_opt.simulation.sensor_and_actuator_block import Block, StepContext
@@ -136,13 +136,15 @@ class LoopWiring:
     def layout(self) -> Layout:
         """Names, sizes and units of all parameters that can differ between runs."""
         return Layout(
-            "parameter", tuple(variable for variable, _ in self._parameters_with_defaults), "the closed loop"
+            "parameter",
+            tuple(variable for variable, _ in self._dispersible_parameter_defaults),
+            "the closed loop",
         )
 
     @cached_property
     def default_parameters(self) -> Array:
         """Default values of `layout`, shape (n,); NaN for initial states."""
-        return np.concatenate([value for _, value in self._parameters_with_defaults])
+        return np.concatenate([value for _, value in self._dispersible_parameter_defaults])
 
     @cached_property
     def parameter_ranges(self) -> tuple[Array, Array]:
@@ -155,7 +157,7 @@ class LoopWiring:
         return lower, upper
 
     @cached_property
-    def _parameters_with_defaults(self) -> list[tuple[Variable, Array]]:
+    def _dispersible_parameter_defaults(self) -> list[tuple[Variable, Array]]:
         parameters, states = self.plant.parameters, self.plant.states
         numbers = self.plant.parameter_values
         entries = [
@@ -182,7 +184,7 @@ class LoopBlocks:
     quantities: tuple[Quantity, ...] = ()
 
 
-def connect_loop(
+def connect_closed_loop(
     plant: Model,
     controller: Controller,
     blocks: LoopBlocks,
@@ -199,12 +201,14 @@ def connect_loop(
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
     require_distinct_names([block.name for block in every], "blocks of the closed loop")
-    actuators, applied = connect_blocks(blocks.actuators, map_signal_sizes(controller.commands), "command")
+    actuators, applied = connect_blocks(
+        blocks.actuators, get_signal_sizes_and_units(controller.commands), "command"
+    )
     check_applied_signals(plant, applied, controller)
-    sensors = _chain_sensor_blocks(controller, blocks.sensors)
-    targets = map_signal_sizes(plant.controls) | {
+    sensors = _connect_sensor_blocks(controller, blocks.sensors)
+    targets = get_signal_sizes_and_units(plant.controls) | {
         n: (size, f"{unit}/s".replace("/s/s", "/s^2"))
-        for n, (size, unit) in map_signal_sizes(plant.states).items()
+        for n, (size, unit) in get_signal_sizes_and_units(plant.states).items()
     }
     disturbances = [connect_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
@@ -254,8 +258,8 @@ def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
             )
 
 
-def _chain_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
-    states = map_signal_sizes(controller.states)
+def _connect_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
+    states = get_signal_sizes_and_units(controller.states)
     links, seen = connect_blocks(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")

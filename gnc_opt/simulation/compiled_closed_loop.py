@@ -171,29 +171,31 @@ class CompiledLoop:
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        samples = np.full((self.quantities.size, self._sample_step_indices.size, P.shape[1]), np.nan)
+        samples = np.full((self.quantities.size, self._quantity_sample_steps.size, P.shape[1]), np.nan)
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
         again = False
         for i, seed in enumerate(seeds):
-            invalid = self.invalid_parameter_message(P[:, i])
+            invalid = self.describe_invalid_parameters(P[:, i])
             if invalid:
                 refused[i] = invalid
                 continue
             course = self._create_replannable_reference()
             for last, X, _ in self._propagate_run_segments(P[:, i], seed, known, course, again=again):
-                self._sample_recorded_quantities(samples[..., i], last, X[0])
+                self._record_quantities_at_step(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-                followed[:, i] = self._evaluate_reference_at_end(course, final[i, :1].T)[:, 0]
+                followed[:, i] = self._evaluate_reference_at_run_end(course, final[i, :1].T)[:, 0]
         if self.replanner is None:
-            followed = self._evaluate_reference_at_end(self._create_replannable_reference(), final[:, 0].T)
-        ending = self._collect_final_values(final, refused, followed, replans)
+            followed = self._evaluate_reference_at_run_end(
+                self._create_replannable_reference(), final[:, 0].T
+            )
+        ending = self._collect_final_states_of_runs(final, refused, followed, replans)
         if not self.quantities.size:
             return ending
-        record = self.kernel.state.split_column(final[:, 0].T)["quantities"]
+        record = self.kernel.state.split_vector_by_name(final[:, 0].T)["quantities"]
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1) -> Run:
@@ -212,7 +214,7 @@ class CompiledLoop:
         """
         P = np.asarray(P, dtype=float)
         every = read_integer(every, "the number of control steps of which one is logged", 1)
-        invalid = self.invalid_parameter_message(P)
+        invalid = self.describe_invalid_parameters(P)
         if invalid:
             raise ArgumentError(f"the run cannot be simulated: {invalid}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
@@ -223,7 +225,10 @@ class CompiledLoop:
         for end, X, logged in self._propagate_run_segments(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
-            parts, logs = self.kernel.state.split_column(logged[0]), self.kernel.log.split_column(logged[1])
+            parts, logs = (
+                self.kernel.state.split_vector_by_name(logged[0]),
+                self.kernel.log.split_vector_by_name(logged[1]),
+            )
             count = logged[1].shape[1]
             n_done, first = count, end - count
             if self.events.size:
@@ -238,11 +243,11 @@ class CompiledLoop:
                 )
             if self._has_event_ended_run(X[0]):
                 last = first + n_done
-        final = self.kernel.state.split_column(X[:1].T)
+        final = self.kernel.state.split_vector_by_name(X[:1].T)
         ended = self._find_run_end_times(final)
-        followed = self._evaluate_reference_at_end(course, X[:1].T)
+        followed = self._evaluate_reference_at_run_end(course, X[:1].T)
         self._log_segment_signals(log, final, np.array([0]), followed)
-        ending = self._collect_final_values(X[None], {}, followed)
+        ending = self._collect_final_states_of_runs(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
         times = np.append(self.times[kept[kept < last]], ended)
         return Run(
@@ -267,7 +272,7 @@ class CompiledLoop:
             layouts=self.layouts,
         )
 
-    def invalid_parameter_message(self, P: Array) -> str:
+    def describe_invalid_parameters(self, P: Array) -> str:
         """Return the error message for a column P (n_parameters,); "" if it is valid."""
         lower, upper = self.ranges
         bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
@@ -284,7 +289,7 @@ class CompiledLoop:
         The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
-        followed = self._schedule_rows_by_step if course is None or planned else course.schedule.T
+        followed = self._reference_schedule_by_step if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
         numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
         written = again and planned and len(self._segment_boundary_steps) == 2
@@ -302,7 +307,7 @@ class CompiledLoop:
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
-    def _schedule_rows_by_step(self) -> Array:
+    def _reference_schedule_by_step(self) -> Array:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
@@ -311,18 +316,18 @@ class CompiledLoop:
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
-        return sorted(edges | set(self._sample_step_indices.tolist()))
+        return sorted(edges | set(self._quantity_sample_steps.tolist()))
 
     @cached_property
-    def _sample_step_indices(self) -> Any:
+    def _quantity_sample_steps(self) -> Any:
         return select_quantity_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
-    def _sample_recorded_quantities(self, samples: Array, step: int, X: Array) -> None:
+    def _record_quantities_at_step(self, samples: Array, step: int, X: Array) -> None:
         """Write the quantities at a step, the last values in the kernel state X, to (n, n_samples)."""
-        if step in self._sample_step_indices and not self._has_event_ended_run(X):
+        if step in self._quantity_sample_steps and not self._has_event_ended_run(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
-            samples[:, np.searchsorted(self._sample_step_indices, step)] = record[4 * n :]
+            samples[:, np.searchsorted(self._quantity_sample_steps, step)] = record[4 * n :]
             samples[:, 0] = record[3 * n : 4 * n]
 
     def _create_replannable_reference(self) -> ActiveReference:
@@ -354,7 +359,7 @@ class CompiledLoop:
     def _propagate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after a segment to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
-            folded.execute_control_steps(x, rows, c, end)
+            folded.simulate_control_steps(x, rows, c, end)
 
     def _propagate_run_segments(
         self,
@@ -375,7 +380,7 @@ class CompiledLoop:
             before, logs = X.copy(), None
             if logged and not self._has_event_ended_run(X[0]):
                 logs = self._step_executors[0].propagate_steps_with_log(before[0], rows, C[0])
-                self._step_executors[1].execute_control_steps(before[1], rows, C[1], X[1])
+                self._step_executors[1].simulate_control_steps(before[1], rows, C[1], X[1])
                 X[0] = logs[0][:, -1]
             else:
                 self._propagate_run_segment(before, rows, C, X)
@@ -405,17 +410,19 @@ class CompiledLoop:
     def _step_executors(self) -> tuple[StepExecutor, StepExecutor]:
         return StepExecutor(self.kernel, self.libraries[0]), StepExecutor(self.companion, self.libraries[1])
 
-    def _evaluate_reference_at_end(self, course: ActiveReference, X: Array) -> Array:
+    def _evaluate_reference_at_run_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.interpolate_reference(self._find_run_end_times(self.kernel.state.split_column(X)))
+        found = course.interpolate_reference(
+            self._find_run_end_times(self.kernel.state.split_vector_by_name(X))
+        )
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
-    def _collect_final_values(
+    def _collect_final_states_of_runs(
         self, ends: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
     ) -> FinalValues:
         """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
-        parts = self.kernel.state.split_column(final)
+        parts = self.kernel.state.split_vector_by_name(final)
         errors, assessed = estimate_integration_errors(
             self.kernel.state, final, companions, float(self.times[-1])
         )

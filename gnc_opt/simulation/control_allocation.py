@@ -29,7 +29,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import (
     Parameters,
     Step,
     StepContext,
-    clip_keeping_nan,
+    clip_and_propagate_nan,
     is_changed_by_clipping,
     read_block_values,
 )
@@ -164,7 +164,7 @@ class Allocation(Block):
                 f"'{self.name}' cannot allocate by {quote_value(self.method)}: "
                 f"{suggest_similar_name(str(self.method), get_args(Method))}"
             )
-        self._allocate_to_actuators(ca.SX.zeros(np.shape(self.matrix)[0]))
+        self._allocate_command_to_actuators(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
     def is_memoryless(self) -> bool:
@@ -177,9 +177,9 @@ class Allocation(Block):
         check_effectiveness_matrix_rows(self.matrix, size, self.name)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(self._allocate_to_actuators(signal), state)
+        return Step(self._allocate_command_to_actuators(signal), state)
 
-    def _allocate_to_actuators(self, signal: Any) -> Any:
+    def _allocate_command_to_actuators(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
             plus, minus = (minimise_actuator_effort(self.matrix, sign, *about) for sign in (1.0, -1.0))
@@ -373,12 +373,12 @@ class WheelArray(Block):
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
             shift = -minimise_peak_along_null_vector(h_w - wanted * tick.h, n) / tick.h
             wanted = wanted + _limit_null_space_shift(shift, wanted, n, p["max_torque"]) * n
-        torque = clip_keeping_nan(wanted, -p["max_torque"], p["max_torque"])
-        torque = clip_keeping_nan(
+        torque = clip_and_propagate_nan(wanted, -p["max_torque"], p["max_torque"])
+        torque = clip_and_propagate_nan(
             torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h
         )
         # beyond its momentum limit a wheel is decelerated within its torque limit
-        torque = clip_keeping_nan(torque, -p["max_torque"], p["max_torque"])
+        torque = clip_and_propagate_nan(torque, -p["max_torque"], p["max_torque"])
         saturated = is_changed_by_clipping(torque, wanted)
         torque = torque * p["health"]
         after = state if self.momenta is not None else h_w - torque * tick.h
@@ -408,7 +408,7 @@ def _limit_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> An
         room_up = ca.fmax(0.0, limit[i] - torque[i]) / abs(n[i])
         room_down = ca.fmax(0.0, limit[i] + torque[i]) / abs(n[i])
         up, down = (room_up, room_down) if n[i] > 0 else (room_down, room_up)
-        shift = clip_keeping_nan(shift, -down, up)
+        shift = clip_and_propagate_nan(shift, -down, up)
     return shift
 
 

@@ -25,7 +25,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import StepContext
 from gnc_opt.simulation.zero_crossing_location import build_event_location_function, build_event_log_layout
 
 
-def add_event_location_to_step(step: ControlStep, act: Any) -> Any:
+def build_step_with_event_location(step: ControlStep, act: Any) -> Any:
     """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``: the minor steps with event location."""
     return _ControlStepWithEvents(step).build_event_step_function(act)
 
@@ -35,7 +35,7 @@ def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any)
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
     either = ca.Function.if_else("either", rest, step)
-    after = either(control_step.state.split_column(x)["stop"] > 0.5, x, w, c)
+    after = either(control_step.state.split_vector_by_name(x)["stop"] > 0.5, x, w, c)
     return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())
 
 
@@ -60,15 +60,17 @@ class _ControlStepWithEvents:
     def _propagate_step_with_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
         wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        state = self.state.split_column(column)
+        state = self.state.split_vector_by_name(column)
         begin = ca.Function("begin", [column, known, self.P], [
-            self.state.stack_column(self.base.update_disturbances(state, self.known.split_column(known)))
+            self.state.stack_vector_by_name(
+                self.base.update_disturbances(state, self.known.split_vector_by_name(known))
+            )
         ])  # fmt: skip
         now, notes = begin(x, w, P), ca.MX.zeros(self.event_log_layout.size)
         for i in range(wiring.minor_steps):
             minor, skip = self._build_minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
-            now, notes = either(self.state.split_column(now)["stop"] > 0.5, now, notes, w, P, u)
+            now, notes = either(self.state.split_vector_by_name(now)["stop"] > 0.5, now, notes, w, P, u)
         return list(self._build_control_step_log_function()(x, now, notes, w, y, u, z))
 
     @property
@@ -82,7 +84,7 @@ class _ControlStepWithEvents:
         wiring, h = self.wiring, self.h
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
-        state, w = self.state.split_column(column), self.known.split_column(known)
+        state, w = self.state.split_vector_by_name(column), self.known.split_vector_by_name(known)
         new, tick = dict(state), self.base.build_minor_step_context(i, w, state)
         waves, saturated = self.base.evaluate_actuator_blocks(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
@@ -98,7 +100,7 @@ class _ControlStepWithEvents:
         propagation = ca.Function("leg", [x, armed, begin, end, *context], [propagated, *seen])
         way, places = build_event_location_function(wiring.events, propagation, h)
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_log_layout.size)
-        v, n = places.split_column(q), self.event_log_layout.split_column(noted)
+        v, n = places.split_vector_by_name(q), self.event_log_layout.split_vector_by_name(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.accumulate_control_effort(new, applied, saturated, v["s"])
@@ -107,11 +109,11 @@ class _ControlStepWithEvents:
         book = ca.Function(
             "book",
             [q, noted, *context],
-            [self.state.stack_column(new), self.event_log_layout.stack_column(n)],
+            [self.state.stack_vector_by_name(new), self.event_log_layout.stack_vector_by_name(n)],
         )
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
-        a, b = self.state.split_column(column_), self.event_log_layout.split_column(notes_)
+        a, b = self.state.split_vector_by_name(column_), self.event_log_layout.split_vector_by_name(notes_)
         first = {
             **{k: a[k] for k, _ in places.parts if k in a},
             **{k: b[k] for k, _ in places.parts if k in b},
@@ -119,7 +121,9 @@ class _ControlStepWithEvents:
         first |= {"x": a["plant"], "s": ca.MX(0)}
         p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
         rest = (column_, w_, P_, u_)
-        after = way(places.stack_column(first), self.known.split_column(w_)["t"] + i * h, p, *rest)
+        after = way(
+            places.stack_vector_by_name(first), self.known.split_vector_by_name(w_)["t"] + i * h, p, *rest
+        )
         minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
@@ -132,17 +136,17 @@ class _ControlStepWithEvents:
         noted, y = ca.SX.sym("notes", self.event_log_layout.size), ca.SX.sym("y", self.base.measured.size)
         u = ca.SX.sym("u", self.wiring.controller.commands.size)
         z = ca.SX.sym("z", self.wiring.controller.memory.size)
-        new, n = self.state.split_column(column), self.event_log_layout.split_column(noted)
+        new, n = self.state.split_vector_by_name(column), self.event_log_layout.split_vector_by_name(noted)
         logged = {
             "measured": y,
             "commands": u,
             "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
         logged |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
-        state, t = self.state.split_column(before), self.known.split_column(known)["t"]
-        log = self.base.complete_step_state_and_log(new, state, t, logged, z)
+        state, t = self.state.split_vector_by_name(before), self.known.split_vector_by_name(known)["t"]
+        log = self.base.complete_control_step(new, state, t, logged, z)
         return ca.Function(
-            "closing", [before, column, noted, known, y, u, z], [self.state.stack_column(new), log]
+            "closing", [before, column, noted, known, y, u, z], [self.state.stack_vector_by_name(new), log]
         )
 
 
@@ -181,17 +185,17 @@ class LoopKernel:
         return {}
 
 
-def build_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
+def build_closed_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
     """Return the kernel with ``substeps`` integration steps per minor step."""
     return _KernelBuilder(wiring, substeps).build_control_loop_kernel()
 
 
 class _KernelBuilder(ControlStep):
     def build_control_loop_kernel(self) -> LoopKernel:
-        constants, act = self._build_actuator_and_plant_functions()
+        constants, act = self._build_actuator_and_plant_step_functions()
         step, easy = (
-            self._build_control_step_function(constants, act),
-            self._build_simplified_law_step_function(constants, act),
+            self._build_closed_loop_step_function(constants, act),
+            self._build_simplified_law_loop_step(constants, act),
         )
         measure = self._build_measurement_function(constants)
         return LoopKernel(
@@ -208,7 +212,7 @@ class _KernelBuilder(ControlStep):
     def _build_initial_state_function(self) -> Any:
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
-        w = self.known.split_column(column)
+        w = self.known.split_vector_by_name(column)
         x = stack_named_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self.evaluate_sensor_blocks(x, w["t"], None, w)
         tick = StepContext(w["t"], self.h, wiring.dt, self.split_plant_state(x))
@@ -221,17 +225,17 @@ class _KernelBuilder(ControlStep):
             parts[f"push {i}"] = link.block.initial_memory(
                 ca.SX.zeros(link.size), self.select_parameters(link), tick
             )
-        before = ca.Function("before", [column, self.P], [y, self.state.stack_column(parts)])
+        before = ca.Function("before", [column, self.P], [y, self.state.stack_vector_by_name(parts)])
         kind = _get_casadi_symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
-        values = self.state.split_column(state)
-        known = self.known.split_column(w_)
+        values = self.state.split_vector_by_name(state)
+        known = self.known.split_vector_by_name(w_)
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
-        return ca.Function("start", [w_, p_], [self.state.stack_column(values)], ["w", "P"], ["X"])
+        return ca.Function("start", [w_, p_], [self.state.stack_vector_by_name(values)], ["w", "P"], ["X"])
 
-    def _build_control_step_function(self, constants: Any, act: Any) -> Any:
-        inputs, after, log, _ = self._build_control_step_expressions(
+    def _build_closed_loop_step_function(self, constants: Any, act: Any) -> Any:
+        inputs, after, log, _ = self._build_closed_loop_step_expressions(
             self.wiring.controller.step, constants, act
         )
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
@@ -241,45 +245,47 @@ class _KernelBuilder(ControlStep):
             else step
         )
 
-    def _build_simplified_law_step_function(self, constants: Any, act: Any) -> Any:
+    def _build_simplified_law_loop_step(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
         if easy is None:
             return None
-        inputs, after, _, (enough,) = self._build_control_step_expressions(easy, constants, act)
+        inputs, after, _, (enough,) = self._build_closed_loop_step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
         return freeze_state_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
-    def _build_control_step_expressions(
+    def _build_closed_loop_step_expressions(
         self, law: Any, constants: Any, act: Any
     ) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
         kind = ca.MX if self.wiring.events else _get_casadi_symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
-        y, sensed = self._build_sensor_update_function()(x, w, c[: self.P.shape[0]])
-        known = self.known.split_column(w)
-        u, memory, *enough = law(known["t"], y, known["r"], self.state.split_column(x)["memory"])
+        y, sensed = self._build_sensor_sampling_function()(x, w, c[: self.P.shape[0]])
+        known = self.known.split_vector_by_name(w)
+        u, memory, *enough = law(known["t"], y, known["r"], self.state.split_vector_by_name(x)["memory"])
         return inputs, *act(sensed, w, c, y, u, memory), enough
 
     def _build_measurement_function(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
         c = ca.MX.sym("C", constants.size1_out(0))
-        y, _ = self._build_sensor_update_function()(x, w, c[: self.P.shape[0]])
+        y, _ = self._build_sensor_sampling_function()(x, w, c[: self.P.shape[0]])
         return ca.Function("measure", [x, w, c], [y], ["X", "w", "C"], ["y"])
 
-    def _build_sensor_update_function(self) -> Any:
+    def _build_sensor_sampling_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        state, w = self.state.split_column(x), self.known.split_column(column)
+        state, w = self.state.split_vector_by_name(x), self.known.split_vector_by_name(column)
         y, sensors = self.evaluate_sensor_blocks(state["plant"], w["t"], state, w)
-        return ca.Function("sense", [x, column, self.P], [y, self.state.stack_column(state | sensors)])
+        return ca.Function(
+            "sense", [x, column, self.P], [y, self.state.stack_vector_by_name(state | sensors)]
+        )
 
-    def _build_actuator_and_plant_functions(self) -> tuple[Any, Any]:
+    def _build_actuator_and_plant_step_functions(self) -> tuple[Any, Any]:
         """Return the constants, and the minor steps with totals: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
         wiring = self.wiring
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
         z = ca.SX.sym("z", wiring.controller.memory.size)
-        state, w = self.state.split_column(column_x), self.known.split_column(column)
+        state, w = self.state.split_vector_by_name(column_x), self.known.split_vector_by_name(column)
         new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
@@ -298,17 +304,17 @@ class _KernelBuilder(ControlStep):
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
             self.accumulate_control_effort(new, applied, saturated, self.h)
-        log = self.complete_step_state_and_log(
+        log = self.complete_control_step(
             new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z
         )
         # values derived from P only are computed once per run
-        results = [self.state.stack_column(new), log, found]
+        results = [self.state.stack_vector_by_name(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
         constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)
         act = ca.Function("act", [column_x, column, names, y, u, z], outputs)
         return (
             ca.Function("constants", [self.P], [constants], ["P"], ["C"]),
-            add_event_location_to_step(self, act)
+            build_step_with_event_location(self, act)
             if wiring.events
             else act.slice("act", list(range(6)), [0, 1]),
         )

@@ -35,16 +35,16 @@ class StepExecutor:
         self.kernel, self.library = kernel, library
         self._buffers: dict[Any, Any] = {}
 
-    def execute_control_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def simulate_control_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a segment to ``final``."""
-        if self._machine_code_function is None:
-            self._execute_steps_in_casadi(X, rows, C, final)
+        if self._machine_code_step_function is None:
+            self._simulate_steps_in_casadi(X, rows, C, final)
             return
-        n_done = self._machine_code_function(X, rows, C, final)
+        n_done = self._machine_code_step_function(X, rows, C, final)
         while n_done < len(rows):  # a step for which the easy law is not valid
-            self._execute_steps_in_casadi(final.copy(), rows[n_done : n_done + 1], C, final)
+            self._simulate_steps_in_casadi(final.copy(), rows[n_done : n_done + 1], C, final)
             n_done += 1
-            n_done += self._machine_code_function(final.copy(), rows[n_done:], C, final)
+            n_done += self._machine_code_step_function(final.copy(), rows[n_done:], C, final)
 
     def compute_initial_state_and_constants(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
@@ -55,7 +55,7 @@ class StepExecutor:
         self._evaluate_casadi_into_arrays("constants", lambda: constants, (P,), C)
         return X, C
 
-    def _execute_steps_in_casadi(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def _simulate_steps_in_casadi(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
         def build_step_sequence_function() -> Any:
             return self._build_step_sequence_function(
@@ -97,7 +97,7 @@ class StepExecutor:
         return columns.T, logs.T
 
     @cached_property
-    def _machine_code_function(self) -> Callable[[Array, Array, Array, Array], int] | None:
+    def _machine_code_step_function(self) -> Callable[[Array, Array, Array, Array], int] | None:
         return load_control_step_library(self.library)
 
     @property
@@ -170,7 +170,7 @@ def load_control_step_library(library: str) -> Callable[[Array, Array, Array, Ar
     return call_control_step_library
 
 
-def _append_step_loop_c_source(source: str, step: Any) -> str:
+def _append_c_loop_over_steps(source: str, step: Any) -> str:
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
     for name, size in sizes.items():
@@ -184,9 +184,7 @@ def _generate_step_c_source(step: Any, folder: str) -> str:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
     # CasADi generates no C code for solvers, and warns that this source does not compile
-    return (
-        "" if messages.getvalue() else _append_step_loop_c_source(written.read_text(encoding="utf-8"), step)
-    )
+    return "" if messages.getvalue() else _append_c_loop_over_steps(written.read_text(encoding="utf-8"), step)
 
 
 def _compile_control_step_library(step: Any, compiler: str, place: Path) -> None:

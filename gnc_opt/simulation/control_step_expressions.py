@@ -219,18 +219,24 @@ class ControlStep:
         length = end - begin
 
         def evaluate_applied_control(late: Any) -> Any:
-            return wave.evaluate_waveform(lambda tau: ca.exp(-(begin + late) / tau))
+            return wave.evaluate_actuator_waveform(lambda tau: ca.exp(-(begin + late) / tau))
 
-        def observe_step(taken: IntegrationStep) -> None:
+        def record_integration_step(taken: IntegrationStep) -> None:
             for watch in watches:
                 watch(taken, lambda nu: evaluate_applied_control((taken.number + nu) * taken.length))
 
         if wave.at is None:
             return integrate_dormand_prince(
-                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, observe_step
+                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, record_integration_step
             )
         return integrate_dormand_prince(
-            f, t + begin, x, length, n, wave.sample_runge_kutta_stage_inputs(begin, length / n), observe_step
+            f,
+            t + begin,
+            x,
+            length,
+            n,
+            wave.sample_runge_kutta_stage_inputs(begin, length / n),
+            record_integration_step,
         )
 
     def build_minor_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
@@ -253,7 +259,7 @@ class ControlStep:
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
 
-    def complete_step_state_and_log(
+    def complete_control_step(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, logged: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""
@@ -267,7 +273,7 @@ class ControlStep:
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
         self._record_first_faults(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
-        return self.log.stack_column({**nothing, **logged})
+        return self.log.stack_vector_by_name({**nothing, **logged})
 
     def create_quantity_extreme_tracker(self, waves: Sequence[ActuatorWaveform]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2

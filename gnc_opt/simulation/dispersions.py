@@ -79,9 +79,9 @@ class Normal(Dispersion):
             read_positive_number(self.truncate, "truncate of Normal()")
 
     def check_nominal(self, name: str, nominal: Array) -> None:
-        _check_parameter_size(self.std, nominal, f"the standard deviation of '{name}'")
-        _check_parameter_size(self.mean, nominal, f"the mean deviation of '{name}'")
-        _check_relative_dispersion(self.relative, name, nominal)
+        _require_size_of_nominal(self.std, nominal, f"the standard deviation of '{name}'")
+        _require_size_of_nominal(self.mean, nominal, f"the mean deviation of '{name}'")
+        _require_nonzero_nominal(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
@@ -89,7 +89,7 @@ class Normal(Dispersion):
         else:  # inverse transform: one number per component, no rejection
             tail = scipy.special.ndtr(-self.truncate)
             z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
-        return _add_deviation_to_nominal(
+        return _add_deviation_to_nominal_value(
             nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative
         )
 
@@ -133,14 +133,14 @@ class Uniform(Dispersion):
             )
 
     def check_nominal(self, name: str, nominal: Array) -> None:
-        _check_parameter_size(self.low, nominal, f"the lower end of '{name}'")
-        _check_parameter_size(self.high, nominal, f"the upper end of '{name}'")
-        _check_relative_dispersion(self.relative, name, nominal)
+        _require_size_of_nominal(self.low, nominal, f"the lower end of '{name}'")
+        _require_size_of_nominal(self.high, nominal, f"the upper end of '{name}'")
+        _require_nonzero_nominal(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
         deviation = low + (np.asarray(self.high) - low) * generator.random(nominal.size)
-        return _add_deviation_to_nominal(nominal, deviation, self.relative)
+        return _add_deviation_to_nominal_value(nominal, deviation, self.relative)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         unit = nominal if self.relative else np.ones(nominal.size)
@@ -204,7 +204,7 @@ class RandomDirection(Dispersion):
     radius: Magnitude
 
     def __post_init__(self) -> None:
-        _check_magnitude_distribution(self.radius, "the radius of Sphere()")
+        _check_deviation_magnitude(self.radius, "the radius of Sphere()")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         return nominal + _draw_deviation_magnitude(self.radius, generator) * _draw_random_unit_vector(
@@ -212,7 +212,7 @@ class RandomDirection(Dispersion):
         )
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        return np.zeros(nominal.size), _compute_magnitude_mean_square(self.radius) / nominal.size * np.eye(
+        return np.zeros(nominal.size), _compute_mean_square_of_magnitude(self.radius) / nominal.size * np.eye(
             nominal.size
         )
 
@@ -264,7 +264,7 @@ class RandomRotation(Dispersion):
     angle: Magnitude
 
     def __post_init__(self) -> None:
-        _check_magnitude_distribution(self.angle, "the angle of Turn()")
+        _check_deviation_magnitude(self.angle, "the angle of Turn()")
 
     def check_nominal(self, name: str, nominal: Array) -> None:
         if nominal.size not in (3, 4):
@@ -292,7 +292,7 @@ class RandomRotation(Dispersion):
         )
         if nominal.size == 3:
             change = (change[1:] - np.outer(nominal, change[0])) / (1 + attitude[0])
-        return np.zeros(nominal.size), _compute_magnitude_mean_square(self.angle) / 3 * change @ change.T
+        return np.zeros(nominal.size), _compute_mean_square_of_magnitude(self.angle) / 3 * change @ change.T
 
 
 Dispersions: TypeAlias = Mapping[str, Dispersion]
@@ -316,7 +316,9 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
         dispersion.check_nominal(name, nominal[layout.slice(name)])
 
 
-def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
+def draw_dispersed_parameters(
+    dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int
+) -> Array:
     """Return the parameter column P (n_parameters,) of one run.
 
     The random numbers of a parameter depend only on the seed, the index of the run and the name.
@@ -336,22 +338,22 @@ def _read_distribution_parameters(value: Any, what: str) -> Array:
     return numbers
 
 
-def _check_parameter_size(value: ArrayLike, nominal: Array, what: str) -> None:
+def _require_size_of_nominal(value: ArrayLike, nominal: Array, what: str) -> None:
     read_vector(value, nominal.size, what, ArgumentError)
 
 
-def _check_relative_dispersion(relative: bool, name: str, nominal: Array) -> None:
+def _require_nonzero_nominal(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
         raise ArgumentError(
             f"'{name}' has the nominal value 0, and every share of it is 0: drop relative=True."
         )
 
 
-def _add_deviation_to_nominal(nominal: Array, deviation: Array, relative: bool) -> Array:
+def _add_deviation_to_nominal_value(nominal: Array, deviation: Array, relative: bool) -> Array:
     return nominal * (1 + deviation) if relative else nominal + deviation
 
 
-def _check_magnitude_distribution(value: Any, what: str) -> None:
+def _check_deviation_magnitude(value: Any, what: str) -> None:
     if isinstance(value, (Normal, Uniform)):
         value.check_nominal(what, np.ones(1))
         if value.relative:
@@ -364,7 +366,7 @@ def _draw_deviation_magnitude(value: Magnitude, generator: np.random.Generator) 
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
 
 
-def _compute_magnitude_mean_square(value: Magnitude) -> float:
+def _compute_mean_square_of_magnitude(value: Magnitude) -> float:
     if not isinstance(value, Dispersion):
         return float(value) ** 2
     mean, variance = value.moments(np.zeros(1))

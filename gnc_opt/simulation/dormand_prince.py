@@ -88,7 +88,7 @@ def integrate_dormand_prince(
 def _build_runge_kutta_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
     x, h, *k = (ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(len(row))))
-    return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted_stages(row, k)])
+    return ca.Function("stage", [x, h, *k], [x + h * _combine_runge_kutta_stages(row, k)])
 
 
 @cache
@@ -96,17 +96,17 @@ def _build_dense_output_function(n: int) -> Any:
     """Return the function of the state (n,) and its rate within a step from nu, x, h and the rates of all stages."""
     nu, x, h = ca.SX.sym("nu"), ca.SX.sym("x", n), ca.SX.sym("h")
     k, rest = [ca.SX.sym(f"k{i}", n) for i in range(len(STAGES))], 1 - nu
-    mean = _sum_weighted_stages(STAGES[-1], k[:-1])
+    mean = _combine_runge_kutta_stages(STAGES[-1], k[:-1])
     first = k[0] - mean
     last = mean - k[-1] - first
-    bubble = _sum_weighted_stages(DENSE_WEIGHTS, k)
+    bubble = _combine_runge_kutta_stages(DENSE_WEIGHTS, k)
     inner = last + rest * bubble
     middle, middle_slope = first + nu * inner, inner - nu * bubble
     outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
     return ca.Function("inside", [nu, x, h, *k], [x + h * (nu * outer), outer + nu * outer_slope])
 
 
-def _sum_weighted_stages(weights: tuple[float, ...], k: list[Any]) -> Any:
+def _combine_runge_kutta_stages(weights: tuple[float, ...], k: list[Any]) -> Any:
     terms = [w * rate for w, rate in zip(weights, k, strict=True) if w != 0.0]
     total = terms[0]
     for term in terms[1:]:

@@ -44,7 +44,7 @@ class ActuatorWaveform:
     mean: Any
     at: Callable[[Decay], Any] | None = None
 
-    def evaluate_waveform(self, decay: Decay) -> Any:
+    def evaluate_actuator_waveform(self, decay: Decay) -> Any:
         """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
@@ -58,7 +58,7 @@ class ActuatorWaveform:
     def sample_runge_kutta_stage_inputs(self, begin: Any, sigma: Any) -> Input:
         """Return the input for integration steps of length ``sigma`` from ``begin`` (s)."""
         projected = _ProjectedDecay(begin, sigma)
-        return lambda k, node: self.evaluate_waveform(lambda tau: projected(tau, k, node))
+        return lambda k, node: self.evaluate_actuator_waveform(lambda tau: projected(tau, k, node))
 
 
 def stack_actuator_waveforms(waves: Sequence[ActuatorWaveform]) -> ActuatorWaveform:
@@ -66,7 +66,7 @@ def stack_actuator_waveforms(waves: Sequence[ActuatorWaveform]) -> ActuatorWavef
     if all(wave.at is None for wave in waves):
         return ActuatorWaveform(mean)
     return ActuatorWaveform(
-        mean, lambda decay: ca.vertcat(*[wave.evaluate_waveform(decay) for wave in waves])
+        mean, lambda decay: ca.vertcat(*[wave.evaluate_actuator_waveform(decay) for wave in waves])
     )
 
 
@@ -80,13 +80,17 @@ class _ProjectedDecay:
     def __call__(self, tau: Any, k: int, node: float) -> Any:
         if id(tau) not in self._known:
             rates = -self.begin / tau, -self.sigma / tau
-            self._known[id(tau)] = ca.exp(rates[0]), ca.exp(rates[1]), project_exponential(-0.5 * rates[1])
+            self._known[id(tau)] = (
+                ca.exp(rates[0]),
+                ca.exp(rates[1]),
+                project_exponential_on_legendre(-0.5 * rates[1]),
+            )
         first, ratio, (c0, c1, c2) = self._known[id(tau)]
         z = 2 * node - 1
         return first * ratio**k * (c0 + c1 * z + c2 * (0.5 * (3 * z**2 - 1)))
 
 
-def project_exponential(xi: Any) -> list[Any]:
+def project_exponential_on_legendre(xi: Any) -> list[Any]:
     """Return the coefficients of P_0 to P_2 for exp(-2 xi nu), nu from 0 to 1; SX column, xi >= 0."""
     small, square = xi < 0.5, xi**2  # cancellation; the series has an error of 1e-13
     decayed = ca.exp(-xi)

@@ -69,27 +69,28 @@ class SuccessCriteria:
             goal[place] = numbers
         return goal
 
-    def check_measures_and_limits(self, empty: Campaign) -> None:
+    def check_performance_limits(self, empty: Campaign) -> None:
         """Raise an error for limits of unknown measures, and for invalid limits or measures."""
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
-            _read_measure_limit(name, value)
+            _read_performance_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: choose another name.")
             if not callable(function):
                 raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
 
-    def add_criteria_to_campaign(self, campaign: Campaign) -> Campaign:
+    def apply_success_criteria(self, campaign: Campaign) -> Campaign:
         """Return the campaign with limits and user-defined measures added."""
         campaign = replace(
-            campaign, limits={name: _read_measure_limit(name, value) for name, value in self.limits.items()}
+            campaign,
+            limits={name: _read_performance_limit(name, value) for name, value in self.limits.items()},
         )
         return replace(
             campaign,
             measured={
-                name: _evaluate_user_defined_measure(name, function, campaign)
+                name: _evaluate_user_performance_measure(name, function, campaign)
                 for name, function in self.measures.items()
             },
         )
@@ -104,11 +105,11 @@ def read_success_criteria(target: Any, measures: Any, limits: Any = None) -> Suc
     )
 
 
-def _read_measure_limit(name: str, value: float) -> float:
+def _read_performance_limit(name: str, value: float) -> float:
     return read_positive_number(value, f"the limit of '{name}'", or_zero=True)
 
 
-def _evaluate_user_defined_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
+def _evaluate_user_performance_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
     try:
         values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
@@ -197,7 +198,7 @@ def monte_carlo(
     empty = merge_run_batches(
         flight, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(flight)
     )
-    criteria.check_measures_and_limits(empty)
+    criteria.check_performance_limits(empty)
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
@@ -226,9 +227,7 @@ def monte_carlo(
     batches = _regenerate_dispersed_parameters(batches, mission)
     campaign = merge_run_batches(flight, batches, seed=mission.seed, asked=n, goal=empty.target)
     scenario = describe_campaign_scenario(loop, flight.layout, dispersions)
-    return criteria.add_criteria_to_campaign(
-        replace(campaign, interrupted=pool.interrupted, scenario=scenario)
-    )
+    return criteria.apply_success_criteria(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 
 def _show_campaign_progress(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
@@ -243,7 +242,7 @@ def _share_task_with_workers(
     mission: CampaignTask, executor: Executor | Literal["serial"] | None
 ) -> SharedObject[CampaignTask]:
     remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'
-    shared = SharedObject.from_picklable(mission, "the campaign", remedy)
+    shared = SharedObject.wrap_picklable_object(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
         shared.pickle_shared_object()  # also checked for inherited memory, so that the campaign runs on any executor
     return shared
@@ -273,7 +272,7 @@ def _regenerate_dispersed_parameters(batches: Sequence[RunBatch], mission: Campa
         P = part.parameters
         if P is None:
             try:
-                P = mission.draw_parameters(part.batch)
+                P = mission.draw_dispersed_parameters(part.batch)
             except Exception:  # the draw itself is what failed
                 P = np.full((mission.flight.layout.size, len(part.batch)), np.nan)
         found.append(replace(part, parameters=P))

@@ -115,7 +115,7 @@ class Extremes:
         if not len(self.quantities):
             return
         nodes = np.linspace(0, 1, 4 * self.panels + 1).tolist()
-        y = [self._evaluate_recorded_quantities(taken, nu, ca.densify(applied(nu))) for nu in nodes]
+        y = [self._evaluate_quantities_within_step(taken, nu, ca.densify(applied(nu))) for nu in nodes]
         panels = [y[4 * k : 4 * k + 5] for k in range(self.panels)]
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
@@ -126,7 +126,7 @@ class Extremes:
             self.record, ca.if_else(active, step, ca.SX(create_empty_extremes_record(len(self.quantities))))
         )
 
-    def _evaluate_recorded_quantities(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
+    def _evaluate_quantities_within_step(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
         x = taken.x if nu == 0 else taken.after if nu == 1 else taken.interpolate_state(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 

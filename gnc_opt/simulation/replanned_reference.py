@@ -94,7 +94,7 @@ class PlanUpdater(Protocol):
     def solve_plan(self, begin: float, x: Array, near: Any) -> Any:
         """Return the plan from a time (s) and a state (n_states,), warm-started from a known plan."""
 
-    def evaluate_schedule(self, plan: Any, times: Array, dt: float, size: int) -> Array:
+    def evaluate_plan_schedule(self, plan: Any, times: Array, dt: float, size: int) -> Array:
         """Return the schedule (size, n_times) of a plan at the given times (s)."""
 
 
@@ -150,7 +150,7 @@ class ActiveReference:
                 raise GncOptError("the estimated state is not a number")
             state = planner.predict_state(self._path, t, x, begin, self.dt)
             plan = planner.solve_plan(begin, state, self._plan)
-            rows = planner.evaluate_schedule(plan, self.times[first:], self.dt, self.schedule.shape[0])
+            rows = planner.evaluate_plan_schedule(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # any failure of a solver or design keeps the old plan
             return Replan(t, begin, time.perf_counter() - begun, format_exception(error))

@@ -181,7 +181,7 @@ def slice_symbolic_rows(column: Any, begin: int, end: int) -> Any:
     return column[begin:end] if end > begin else type(column)(0, 1)
 
 
-def clip_keeping_nan(value: Any, lower: Any, upper: Any) -> Any:
+def clip_and_propagate_nan(value: Any, lower: Any, upper: Any) -> Any:
     """Return the SX value clipped to its limits; NaN stays NaN, unlike with fmin and fmax of C."""
     return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
 

@@ -125,13 +125,13 @@ class Outcome:
 
     def __eq__(self, other: object) -> bool:
         """Compare outcomes; two times of NaN are equal."""
-        return isinstance(other, Outcome) and self._comparison_key == other._comparison_key
+        return isinstance(other, Outcome) and self._outcome_comparison_key == other._outcome_comparison_key
 
     def __hash__(self) -> int:
-        return hash(self._comparison_key)
+        return hash(self._outcome_comparison_key)
 
     @property
-    def _comparison_key(self) -> tuple[RunStatus, str, float | None]:
+    def _outcome_comparison_key(self) -> tuple[RunStatus, str, float | None]:
         return self.status, self.what, None if math.isnan(self.time) else self.time
 
     def __reduce__(self) -> tuple[type[Outcome], tuple[RunStatus, str, float]]:

@@ -142,13 +142,17 @@ class Run(StrictAttributes, PrintableResult):
         ]
         if self.errors is not None:
             ends = np.abs(self.errors[:, -1])
-            lines.insert(1, "  final errors  " + _format_norms(self.layouts["error"], ends))
+            lines.insert(1, "  final errors  " + _format_variable_norms(self.layouts["error"], ends))
         if self.events:
             lines.insert(-1, "  events        " + _format_event_occurrences(self.events))
         if self.replans:
-            lines.insert(-1, "  re-plans      " + _format_replans(self.replans))
-        lines.insert(-1, "  effort        " + _format_norms(self.layouts["applied"], self.effort, " s"))
-        lines.insert(-1, "  saturated     " + _format_norms(self.layouts["command"], self.saturation, None))
+            lines.insert(-1, "  re-plans      " + _format_replanning_counts(self.replans))
+        lines.insert(
+            -1, "  effort        " + _format_variable_norms(self.layouts["applied"], self.effort, " s")
+        )
+        lines.insert(
+            -1, "  saturated     " + _format_variable_norms(self.layouts["command"], self.saturation, None)
+        )
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -262,17 +266,17 @@ class Run(StrictAttributes, PrintableResult):
         States have their names, other signals a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
         ``error.q``, ``reference.q``. Values of a control step are listed at its start.
         """
-        return self._build_tabular_data().to_pandas()
+        return self._tabulate_results().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._build_tabular_data().to_xarray()
+        return self._tabulate_results().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._build_tabular_data().write(path)
+        return self._tabulate_results().write(path)
 
-    def _build_tabular_data(self) -> TabularData:
+    def _tabulate_results(self) -> TabularData:
         n = self.times.size
         quantities = [*iterate_nan_padded_variables(self.layouts["state"], self.states)]
         steps = {
@@ -318,12 +322,12 @@ def _format_event_occurrences(events: Sequence[EventOccurrence]) -> str:
     return ", ".join(str(event) for event in events[:LISTED]) + more
 
 
-def _format_replans(replans: Sequence[Replan]) -> str:
+def _format_replanning_counts(replans: Sequence[Replan]) -> str:
     failed, slowest = sum(r.failed for r in replans), max(r.solve_s for r in replans)
     return f"{len(replans)}, {failed} of them failed; the slowest took {slowest:.2g} s here"
 
 
-def _format_norms(layout: Layout, values: Array, suffix: str | None = "") -> str:
+def _format_variable_norms(layout: Layout, values: Array, suffix: str | None = "") -> str:
     """Return the norm of every variable with unit and suffix; with ``None`` the values are in s."""
     parts = []
     for variable in layout.variables:

@@ -94,7 +94,9 @@ class StepSelection:
             return flight_with(self.substeps)
         substeps = count_steps_for_stable_modes(modes, self.step)
         if substeps > MAX_SUBSTEPS:
-            raise self._build_too_stiff_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
+            raise self._build_stiff_plant_error(
+                f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s"
+            )
         substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
         flight = best = flight_with(substeps)
         least, stalled = np.inf, 0
@@ -111,13 +113,13 @@ class StepSelection:
             if substeps >= MAX_SUBSTEPS:
                 if least <= self.asked:
                     return best
-                raise self._build_too_stiff_error(
+                raise self._build_stiff_plant_error(
                     f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
             flight = flight_with(substeps)
 
-    def _build_too_stiff_error(self, why: str) -> ArgumentError:
+    def _build_stiff_plant_error(self, why: str) -> ArgumentError:
         return ArgumentError(
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."

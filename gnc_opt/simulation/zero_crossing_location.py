@@ -107,7 +107,7 @@ class _ZeroCrossingPropagation:
         self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_propagation_context_inputs()
         self.lowest = self._build_zero_crossing_function()
         self.newton = self._compute_newton_or_bisection_step()
-        self.effect = self._build_event_effect_function()
+        self.effect = self._build_event_reset_function()
 
     def _list_propagation_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.flow.size1_in(i)) for i in range(4, self.flow.n_in())]
@@ -121,23 +121,23 @@ class _ZeroCrossingPropagation:
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
-        v = self.places.split_column(after)
+        v = self.places.split_vector_by_name(after)
         lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX))
         v["stop"] = ca.if_else(lost, len(self.events) + 1, v["stop"])
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
-        return ca.Function("passage", [q, t, p, *context], [self.places.stack_column(v)])
+        return ca.Function("passage", [q, t, p, *context], [self.places.stack_vector_by_name(v)])
 
     def _build_propagation_to_next_event(self) -> Any:
         """Return the propagation function to the next event or to the end; inactive when the step is complete."""
         inputs = self._create_event_step_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
-        v = self.places.split_column(q)
+        v = self.places.split_vector_by_name(q)
         x, armed, _, _, found, first, last, lost, _, seen = self.flow(
             v["x"], v["armed"], v["s"], self.h, *context
         )
-        whole = self.places.stack_column(
-            self._accumulate_recorded_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
+        whole = self.places.stack_vector_by_name(
+            self._accumulate_extremes_and_integrals(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._create_event_step_symbols(("q", self.places.size), *bounds)
@@ -147,12 +147,12 @@ class _ZeroCrossingPropagation:
         )
         fly = ca.Function("fly", inputs, [propagated])
         q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
-        v = self.places.split_column(q)
+        v = self.places.split_vector_by_name(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _accumulate_recorded_quantities(self, v: dict[str, Any], s: Any, **segment: Any) -> dict[str, Any]:
+    def _accumulate_extremes_and_integrals(self, v: dict[str, Any], s: Any, **segment: Any) -> dict[str, Any]:
         seen = merge_extremes_records(v["quantities"], segment["quantities"])
         return {**v, **segment, "s": s, "lost": ca.fmax(v["lost"], segment["lost"]), "quantities": seen}
 
@@ -161,24 +161,24 @@ class _ZeroCrossingPropagation:
         q, _, first, last, t, p, *context = symbols = self._create_event_step_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
-        v, narrow = self.places.split_column(q), self._build_bracket_narrowing_function()
+        v, narrow = self.places.split_vector_by_name(q), self._build_event_bracket_narrowing()
         r = ca.vertcat(first, last, 0)
         for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
         x, armed, y, *_, lost, _, seen = self.flow(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.stack_column(
-            self._accumulate_recorded_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
+        beyond = self.places.stack_vector_by_name(
+            self._accumulate_extremes_and_integrals(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._create_event_step_symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
-        choice = ca.Function.if_else("meet", self._build_event_application_function(), go_on)
+        choice = ca.Function.if_else("meet", self._build_event_location_and_effect(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
         return ca.Function("meet", symbols, [met])
 
-    def _build_bracket_narrowing_function(self) -> Any:
+    def _build_event_bracket_narrowing(self) -> Any:
         """Search the interval before a candidate again, as long as no row has crossed but one may have before."""
         sizes = (
             ("r", 3),
@@ -195,7 +195,7 @@ class _ZeroCrossingPropagation:
         choice = ca.Function.if_else("narrow", keep, step)
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
-    def _build_event_application_function(self) -> Any:
+    def _build_event_location_and_effect(self) -> Any:
         q, _, crossing, first, last, t, p, *context = given = self._create_event_step_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
@@ -203,9 +203,9 @@ class _ZeroCrossingPropagation:
             ("first", 1),
             ("last", 1),
         )
-        v = self.places.split_column(q)
+        v = self.places.split_vector_by_name(q)
         moment = SAME_TIME * self.h
-        improve = self._build_root_search_step()
+        improve = self._build_event_root_search_step()
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
         for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
@@ -214,8 +214,8 @@ class _ZeroCrossingPropagation:
         y_later = self.flow(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._accumulate_recorded_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
-        w = self.places.split_column(self.effect(self.places.stack_column(met), fired, t, p))
+        met = self._accumulate_extremes_and_integrals(v, s, x=x, armed=armed, lost=inside, quantities=seen)
+        w = self.places.split_vector_by_name(self.effect(self.places.stack_vector_by_name(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.flow(w["x"], w["armed"], s, s, *context)[3]
         y_on, slope_on = self.flow(w["x"], w["armed"], s, s + moment, *context)[2:4]
@@ -229,7 +229,7 @@ class _ZeroCrossingPropagation:
         event_occurred = w["count"] - v["count"]
         for code, ends in (
             (len(self.events) + 1, endless),
-            *self._find_unsatisfied_resets(through, event_occurred),
+            *self._check_resets_leave_event_surface(through, event_occurred),
         ):
             ends = ca.logic_and(ends, w["stop"] < 0.5)
             w["stop"] = ca.if_else(ends, code, w["stop"])
@@ -237,16 +237,18 @@ class _ZeroCrossingPropagation:
         soon = RATE_SHARE_OF_STEP * self.h
         rate = (self.flow(x, armed, s, s + soon, *context)[0] - x) / soon
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
-        return ca.Function("happen", given, [self.places.stack_column(w)])
+        return ca.Function("happen", given, [self.places.stack_vector_by_name(w)])
 
-    def _find_unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
+    def _check_resets_leave_event_surface(
+        self, through: Any, event_occurred: Any
+    ) -> Iterator[tuple[int, Any]]:
         """Yield, for each event with a reset, its code and whether its row stays at zero and falls through."""
         for j, event in enumerate(self.events.declared):
             if event.reset:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
-    def _build_root_search_step(self) -> Any:
+    def _build_event_root_search_step(self) -> Any:
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
             for name, size in (
@@ -287,11 +289,11 @@ class _ZeroCrossingPropagation:
             "newton", [r, y, slope], [ca.vertcat(moved, low, high, ca.fabs(moved - now), there)]
         )
 
-    def _build_event_effect_function(self) -> Any:
+    def _build_event_reset_function(self) -> Any:
         """Return ``(q, fired rows, t, p) -> q`` after conditions and resets, with the occurrences noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
-        v = self.places.split_column(column)
+        v = self.places.split_vector_by_name(column)
         now, x, n = t + v["s"], v["x"], v["x"].shape[0]
         holds, _ = self.events.effects(now, x, p)
         for j, event in enumerate(self.events.declared):
@@ -307,16 +309,18 @@ class _ZeroCrossingPropagation:
             v["before"] = ca.if_else(spread, ca.repmat(before, EVENTS_PER_STEP_MAX, 1), v["before"])
             v["after"] = ca.if_else(spread, ca.repmat(x, EVENTS_PER_STEP_MAX, 1), v["after"])
             v["number"] += happens
-            v["first"] = _replace_vector_entry(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
-            v["count"] = _replace_vector_entry(v["count"], j, happens, v["count"][j] + 1)
+            v["first"] = _replace_vector_entry_if(
+                v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now
+            )
+            v["count"] = _replace_vector_entry_if(v["count"], j, happens, v["count"][j] + 1)
             if event.ends_run:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
         v["x"] = x
-        return ca.Function("effect", [column, fired, t, p], [self.places.stack_column(v)])
+        return ca.Function("effect", [column, fired, t, p], [self.places.stack_vector_by_name(v)])
 
 
-def _replace_vector_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
+def _replace_vector_entry_if(column: Any, place: int, condition: Any, value: Any) -> Any:
     entries = ca.vertsplit(column)
     entries[place] = ca.if_else(condition, value, entries[place])
     return ca.vertcat(*entries)

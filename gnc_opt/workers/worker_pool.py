@@ -62,7 +62,7 @@ class TaskResult(Generic[Item, Answer]):
     --------
     >>> def shares(whole, item):
     ...     return whole / item
-    >>> with WorkerPool(SharedObject.from_picklable(6, "the whole", ""), "serial", "shares()") as pool:
+    >>> with WorkerPool(SharedObject.wrap_picklable_object(6, "the whole", ""), "serial", "shares()") as pool:
     ...     half, lost = pool.map(shares, [2, 0], show=lambda done: None)
     >>> print(half.answer, type(lost.error).__name__)
     3.0 ZeroDivisionError
@@ -93,7 +93,7 @@ class WorkerPool(Generic[Object]):
 
     Examples
     --------
-    >>> with WorkerPool(SharedObject.from_picklable(10, "the base", ""), "serial", "powers()") as pool:
+    >>> with WorkerPool(SharedObject.wrap_picklable_object(10, "the base", ""), "serial", "powers()") as pool:
     ...     powers = pool.map(pow, [1, 2, 3], show=lambda done: print(done.item, done.answer))
     1 10
     2 100
@@ -202,7 +202,7 @@ class WorkerPool(Generic[Object]):
                 else:
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
-            idle = idle + 1 if pending and not ended and _has_lost_workers(self._executor) else 0
+            idle = idle + 1 if pending and not ended and _has_no_cluster_workers(self._executor) else 0
             if idle == 2:  # workers may have been restarting
                 deserted, ended = True, set(pending)
             for future in ended:
@@ -251,7 +251,7 @@ class WorkerPool(Generic[Object]):
         except BrokenExecutor as error:
             return _create_failed_future(error)
         except Exception:
-            if not _has_lost_workers(self._executor):
+            if not _has_no_cluster_workers(self._executor):
                 raise
             return _create_worker_died_future()
 
@@ -319,7 +319,7 @@ def _create_worker_died_future() -> Future[Any]:
     return _create_failed_future(WorkerDiedError("the cluster has no workers left"))
 
 
-def _has_lost_workers(executor: Executor) -> bool:
+def _has_no_cluster_workers(executor: Executor) -> bool:
     """Return whether an executor belongs to a Dask cluster without workers or scheduler."""
     client: Any = getattr(executor, "_client", None)
     if not hasattr(client, "scheduler_info"):

@@ -39,7 +39,7 @@ class SharedObject(Generic[Object]):
 
     Examples
     --------
-    >>> shared = SharedObject.from_picklable([1.0, 2.0], "the table", "give numbers")
+    >>> shared = SharedObject.wrap_picklable_object([1.0, 2.0], "the table", "give numbers")
     """
 
     value: Object
@@ -48,7 +48,7 @@ class SharedObject(Generic[Object]):
     maker: Callable[[], Object] | None = None
 
     @classmethod
-    def from_picklable(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
+    def wrap_picklable_object(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
         """Return a shared object that is pickled itself."""
         return cls(value, name, remedy, partial(_get_inherited_object, value))
 
@@ -89,11 +89,11 @@ class LocalParcel(Generic[Object]):
 
 def open_shared_object(parcel: Parcel[Any]) -> Any:
     """Return the object of a parcel; a pickled one is created once per process."""
-    return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_once_per_process(parcel)
+    return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_shared_object(parcel)
 
 
 @lru_cache(maxsize=4)
-def _unpickle_once_per_process(parcel: bytes) -> Any:
+def _unpickle_shared_object(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 

@@ -40,7 +40,7 @@ from gnc_opt import simulation
 from gnc_opt.control import Controller, law_function, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
 from gnc_opt.simulation.dispersions import Dispersion
-from gnc_opt.simulation.sensor_and_actuator_block import clip_keeping_nan
+from gnc_opt.simulation.sensor_and_actuator_block import clip_and_propagate_nan
 from gnc_opt.spacecraft import quaternion_retraction
 from problems.attitude_control import model
 from problems.reaction_wheels.control import design_flc, design_quaternion_lqr, design_tracker
@@ -90,8 +90,8 @@ def within_limits(controller: Controller) -> Controller:
     wanted, after = inner.step(t, x, r, z)
     torques = wanted if "T" in inner.commands else ca.DM(INVERSE) @ wanted
     h, most = x[craft.states.slice("h")], SHARE * model.MAX_MOMENTUM
-    torques = clip_keeping_nan(torques, (h - most) / CLOSING, (h + most) / CLOSING)
-    torques = clip_keeping_nan(torques, -SHARE * model.MAX_TORQUE, SHARE * model.MAX_TORQUE)
+    torques = clip_and_propagate_nan(torques, (h - most) / CLOSING, (h + most) / CLOSING)
+    torques = clip_and_propagate_nan(torques, -SHARE * model.MAX_TORQUE, SHARE * model.MAX_TORQUE)
     return with_dropout_handling(
         replace(
             inner,

@@ -136,7 +136,7 @@ from gnc_opt.report.mathml_formulas import (
 )
 from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_blocks
-from gnc_opt.simulation.campaign_performance_measures import compute_envelope
+from gnc_opt.simulation.campaign_performance_measures import compute_percentile_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
@@ -150,7 +150,7 @@ from gnc_opt.simulation.control_allocation import (
     read_effectiveness_matrix,
 )
 from gnc_opt.simulation.control_step_execution import StepExecutor
-from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
+from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_dispersed_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.final_states_and_integration_error import estimate_integration_errors
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform, stack_actuator_waveforms

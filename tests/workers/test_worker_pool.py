@@ -55,7 +55,7 @@ def last(values: Any, index: int) -> int:
 
 
 def shared(value: Any = 10) -> SharedObject[Any]:
-    return SharedObject.from_picklable(value, "the number", "take another one")
+    return SharedObject.wrap_picklable_object(value, "the number", "take another one")
 
 
 def workers(kind: Any = None, value: Any = 10) -> WorkerPool[Any]:
@@ -157,7 +157,7 @@ def plus(function: Any, item: int) -> Any:
 
 
 def test_what_cannot_travel_is_named_with_a_remedy() -> None:
-    local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
+    local = SharedObject.wrap_picklable_object(lambda x: x + 1, "the function", "write def")
     with ProcessPoolExecutor(1) as given:
         with pytest.raises(
             GncOptError, match=r"^the function cannot be sent to another process \(.*\): write def\.$"
@@ -181,7 +181,7 @@ def test_own_processes_inherit_the_object_where_they_fork(
     if forks and not worker_processes.is_fork_default_start_method():
         pytest.skip("processes do not fork here")
     monkeypatch.setattr(worker_processes, "is_fork_default_start_method", lambda: forks)
-    local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
+    local = SharedObject.wrap_picklable_object(lambda x: x + 1, "the function", "write def")
     if forks:
         with WorkerPool(local, None, "try_it()") as force:
             assert [each.answer for each in force.map(plus, [1, 2], ignore)] == [2, 3]
@@ -295,7 +295,7 @@ def nap(folder, item):
     open(os.path.join(folder, str(os.getpid())), "w").close()
     time.sleep(60)
 os.cpu_count = lambda: 3
-shared = SharedObject.from_picklable(sys.argv[1], "a folder", "")
+shared = SharedObject.wrap_picklable_object(sys.argv[1], "a folder", "")
 with WorkerPool(shared, None, "me") as pool:
     pool.map(nap, range(6), print)
 """

@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_html_and_json_formatting import pluralise
+from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
@@ -128,8 +128,8 @@ def format_optimality(solution: SolutionLike) -> str:
 
 def _format_phase_mesh(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{pluralise(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {pluralise(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+    words = f"{pluralise_noun(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {pluralise_noun(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
 def _format_summary_headline(solution: SolutionLike) -> str:
@@ -189,7 +189,7 @@ def _summarise_refinement(solution: SolutionLike) -> Iterator[tuple[str, str]]:
         return
     if BETTER_COARSE_SOLVE in notes:
         yield BETTER_COARSE_SOLVE, notes[BETTER_COARSE_SOLVE]
-    final, count = history.final_iteration, pluralise(len(history.passes), "iteration")
+    final, count = history.final_iteration, pluralise_noun(len(history.passes), "iteration")
     text = f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, {count}"
     yield "refinement", text + ("" if history.converged else f"; {final.where}")
 

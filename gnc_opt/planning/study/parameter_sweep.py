@@ -194,7 +194,7 @@ def sweep(
                 f"output '{name}' of sweep() is {quote_value(output)}: give a function of a solution."
             )
     line = _GridLineTask(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
-    shared = SharedObject.from_picklable(
+    shared = SharedObject.wrap_picklable_object(
         _UserFunctions(problem_of, dict(named)),
         "the family of problems, or an output,",
         'define them with def at the top of a module, or use executor="serial"',

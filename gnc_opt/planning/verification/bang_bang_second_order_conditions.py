@@ -50,7 +50,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import differentiate_augmented_hamiltonian
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.text_html_and_json_formatting import pluralise
+from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 MOST_ORDERS = 120
 """Largest number of orders of simultaneous switches that are tested."""
@@ -204,7 +204,7 @@ def check_bang_bang_second_order(
         for orders in every
     ]
     worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
-    place = f"{pluralise(worst.freedom, 'degree')} of freedom of the switching times"
+    place = f"{pluralise_noun(worst.freedom, 'degree')} of freedom of the switching times"
     if worst.freedom == 0:
         place = "no degree of freedom: the end conditions determine the switching times"
     elif len(found) > 1:

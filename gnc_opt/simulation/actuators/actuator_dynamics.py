@@ -24,7 +24,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import (
     Parameters,
     Step,
     StepContext,
-    clip_keeping_nan,
+    clip_and_propagate_nan,
     is_changed_by_clipping,
     read_block_scalar,
     read_block_values,
@@ -120,7 +120,7 @@ class RateLimit(_InitializedActuator):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         wanted, reach = signal - state, p["rate"] * tick.h
-        change = clip_keeping_nan(wanted, -reach, reach)
+        change = clip_and_propagate_nan(wanted, -reach, reach)
         mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
         return Step(mean, state + change, is_changed_by_clipping(change, wanted))
 

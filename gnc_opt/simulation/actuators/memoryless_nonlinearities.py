@@ -17,7 +17,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import (
     Parameters,
     Step,
     StepContext,
-    clip_keeping_nan,
+    clip_and_propagate_nan,
     is_changed_by_clipping,
     read_block_values,
 )
@@ -54,7 +54,7 @@ class Saturation(Block):
         return {"lower": (lower, unit), "upper": (upper, unit)}
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        limited = clip_keeping_nan(signal, p["lower"], p["upper"])
+        limited = clip_and_propagate_nan(signal, p["lower"], p["upper"])
         return Step(limited, state, is_changed_by_clipping(limited, signal))
 
 

@@ -24,7 +24,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import (
     Parameters,
     Step,
     StepContext,
-    clip_keeping_nan,
+    clip_and_propagate_nan,
     read_block_scalar,
     read_block_values,
 )
@@ -81,7 +81,7 @@ class Pwm(Block):
         size, count = signal.shape[0], self._count_steps_per_period(tick.h, tick.dt)
         held, phase = state[:size], state[size]
         command = ca.if_else(is_step_counter_zero(phase), signal, held)
-        on_steps = ca.floor(clip_keeping_nan(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
+        on_steps = ca.floor(clip_and_propagate_nan(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)

@@ -22,7 +22,7 @@ from gnc_opt.plot import campaign_figures as campaign_plots
 from gnc_opt.plot import frequency_response_figures
 from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
-from gnc_opt.simulation.intersample_actuator_output import project_exponential
+from gnc_opt.simulation.intersample_actuator_output import project_exponential_on_legendre
 from gnc_opt.simulation.recorded_extremes_and_integrals import _build_interpolated_maximum_function
 
 
@@ -143,7 +143,7 @@ def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:
         )
         for j in range(3)
     ]
-    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_exponential(symbol))(xi)
+    found = ca.Function("f", [s := ca.SX.sym("xi", xi.size)], project_exponential_on_legendre(s))(xi)
     np.testing.assert_allclose([v.full().ravel() for v in found], expected, rtol=1e-9, atol=1e-12)
 
 

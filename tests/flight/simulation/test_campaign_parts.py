@@ -209,21 +209,21 @@ def test_criteria_that_are_no_mappings_are_refused(kind):
 def test_criteria_are_checked_and_applied():
     campaign = campaign_by_hand(limits={}, measured={})
     measures = {"twice": lambda c: 2 * c.measure("q"), "sure": lambda c: c.limits["q"] + np.zeros(len(c))}
-    applied = SuccessCriteria(limits={"q": 0.0, "twice": 10}, measures=measures).add_criteria_to_campaign(
+    applied = SuccessCriteria(limits={"q": 0.0, "twice": 10}, measures=measures).apply_success_criteria(
         campaign
     )
     assert applied.limits == {"q": 0.0, "twice": 10.0} and applied.measure("twice")[:3].tolist() == [10, 2, 4]
     assert applied.measure("sure").tolist() == [0.0] * 4  # measures of one's own may look at the limits
-    SuccessCriteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check_measures_and_limits(campaign)
+    SuccessCriteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check_performance_limits(campaign)
     for wrong, message in (
         (SuccessCriteria(limits={"qq": 1.0}), "no measure 'qq'"),
         (SuccessCriteria(limits={"q": -1.0}), "limit of 'q'"),
         (SuccessCriteria(measures={"own": 3.0}), "'own' is no function"),
     ):
         with pytest.raises((ArgumentError, UnknownNameError), match=message):
-            wrong.check_measures_and_limits(campaign)
+            wrong.check_performance_limits(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
-        SuccessCriteria(measures={"own": lambda c: np.zeros(3)}).add_criteria_to_campaign(campaign)
+        SuccessCriteria(measures={"own": lambda c: np.zeros(3)}).apply_success_criteria(campaign)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, truncnorm, uniform
-from testing.internals import check_dispersions, draw_parameters
+from testing.internals import check_dispersions, draw_dispersed_parameters
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Variable
@@ -99,13 +99,15 @@ def test_a_turn_of_modified_rodrigues_parameters_stays_in_their_set(shadow):
 
 def test_draws_depend_on_seed_run_and_name_alone():
     both = {"a": Normal(1.0), "m": Uniform(0, 1)}
-    first = draw_parameters(both, LAYOUT, NOMINAL, 7, 3)
-    assert np.array_equal(first, draw_parameters(dict(reversed(both.items())), LAYOUT, NOMINAL, 7, 3))
-    alone = draw_parameters({"a": Normal(1.0)}, LAYOUT, NOMINAL, 7, 3)
+    first = draw_dispersed_parameters(both, LAYOUT, NOMINAL, 7, 3)
+    assert np.array_equal(
+        first, draw_dispersed_parameters(dict(reversed(both.items())), LAYOUT, NOMINAL, 7, 3)
+    )
+    alone = draw_dispersed_parameters({"a": Normal(1.0)}, LAYOUT, NOMINAL, 7, 3)
     assert np.array_equal(alone[:3], first[:3]) and alone[9] == 5
-    others = [draw_parameters(both, LAYOUT, NOMINAL, *key) for key in ((7, 4), (8, 3))]
+    others = [draw_dispersed_parameters(both, LAYOUT, NOMINAL, *key) for key in ((7, 4), (8, 3))]
     assert all(np.all(first[[0, 1, 2, 9]] != other[[0, 1, 2, 9]]) for other in others)
-    same = draw_parameters({"a": Normal(1.0), "b": Normal(1.0)}, LAYOUT, np.zeros(10), 7, 3)
+    same = draw_dispersed_parameters({"a": Normal(1.0), "b": Normal(1.0)}, LAYOUT, np.zeros(10), 7, 3)
     assert np.all(same[:3] != same[3:6])
 
 

@@ -183,11 +183,11 @@ def test_the_first_that_is_not_finite_is_named_in_the_order_of_the_signal():
 def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
     flight = loop_of_all().compile([0.0] * 4, tf=0.4)
     P = flight.nominal.copy()
-    assert flight.invalid_parameter_message(P) == ""
+    assert flight.describe_invalid_parameters(P) == ""
     P[6] = 0.0
-    assert flight.invalid_parameter_message(P) == ""
+    assert flight.describe_invalid_parameters(P) == ""
     P[6] = -0.5
-    assert flight.invalid_parameter_message(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
+    assert flight.describe_invalid_parameters(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
     with pytest.raises(ArgumentError, match=r"cannot be simulated: 'lag\.tau\[1\]'"):
         flight.run(P, 0)
     both = flight.final_values(np.column_stack([P, flight.nominal]), [0, 1])

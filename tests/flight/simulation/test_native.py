@@ -187,9 +187,9 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = StepExecutor._execute_steps_in_casadi
+    interpret = StepExecutor._simulate_steps_in_casadi
     monkeypatch.setattr(
-        StepExecutor, "_execute_steps_in_casadi", lambda *a: interpreted.append(len(a[2])) or interpret(*a)
+        StepExecutor, "_simulate_steps_in_casadi", lambda *a: interpreted.append(len(a[2])) or interpret(*a)
     )
     quick.final_values(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import SAMPLES, compute_envelope, select_quantity_sample_steps
+from testing.internals import SAMPLES, compute_percentile_envelope, select_quantity_sample_steps
 from testing.loops import double_integrator, feedback
 from testing.models import dynamics
 
@@ -195,7 +195,9 @@ def test_an_envelope_is_made_of_order_statistics(campaign):
 def test_the_true_percentile_is_within_the_band_as_often_as_it_says():
     generator, inside = np.random.default_rng(5), []
     for _ in range(200):
-        found = compute_envelope("y", "", np.arange(1.0), generator.standard_normal((1, 25)), (0.5, 0.9), 0.8)
+        found = compute_percentile_envelope(
+            "y", "", np.arange(1.0), generator.standard_normal((1, 25)), (0.5, 0.9), 0.8
+        )
         truth = scipy.stats.norm.ppf([0.5, 0.9])
         inside.append((found.low[:, 0] <= truth) & (truth <= found.high[:, 0]))
     assert np.all(np.mean(inside, axis=0) > 0.8 - 3 * np.sqrt(0.16 / 200))
