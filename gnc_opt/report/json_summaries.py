@@ -10,7 +10,10 @@ from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_summary import find_available_accuracy, list_points_outside_tables
+from gnc_opt.planning.solution.solution_summary import (
+    get_available_solution_accuracy,
+    list_points_outside_tables,
+)
 from gnc_opt.planning.study.multistart_search import Multistart
 from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json_values, format_json
 
@@ -65,7 +68,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     >>> print(summary_dict(solution)["status"])
     optimal
     """
-    accuracy = find_available_accuracy(solution)
+    accuracy = get_available_solution_accuracy(solution)
     spent = solution.statistics
     return dict(
         convert_to_json_values(

@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.optimality_verdict import (
     Condition,
     ConditionResult,
     Verdict,
-    find_worst_condition,
+    find_worst_optimality_condition,
     format_violation,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -209,7 +209,9 @@ def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: st
         return format_html_table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
-    groups = [(group, find_worst_condition(found)) for group, found in verdict.condition_groups.items()]
+    groups = [
+        (group, find_worst_optimality_condition(found)) for group, found in verdict.condition_groups.items()
+    ]
     checks = [(group, c.result.value.lower(), _describe_condition_result(c)) for group, c in groups]
     failures = format_html_table(
         ("result", "reason", "what to do"),

@@ -20,9 +20,9 @@ from testing.internals import (
     Scheme,
     Statistics,
     compile_phase_functions,
-    free_interval,
     get_collocation_rule,
     interpolate_point_values,
+    unbounded_interval,
 )
 from testing.models import one_phase
 
@@ -133,11 +133,11 @@ def phase(
         "integrals": np.zeros(len(leg.integrands)),
         "integral_weights": np.ones(len(leg.integrands)),
         "parameters": model.parameter_values,
-        "state_bounds": free_interval(n),
-        "control_bounds": free_interval(m),
+        "state_bounds": unbounded_interval(n),
+        "control_bounds": unbounded_interval(m),
         "path_bounds": leg.get_path_bounds(),
-        "initial_bounds": free_interval(n),
-        "final_bounds": free_interval(n),
+        "initial_bounds": unbounded_interval(n),
+        "final_bounds": unbounded_interval(n),
         "initial_time_bounds": interval(edges[0], edges[0]),
         "final_time_bounds": interval(edges[-1], edges[-1]),
         "duration_bounds": interval(-np.inf, np.inf),

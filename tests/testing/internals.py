@@ -52,7 +52,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, Phase
 from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
-from gnc_opt.planning.problem.bounds import Interval, free_interval
+from gnc_opt.planning.problem.bounds import Interval, unbounded_interval
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
     SUSTAINED,
@@ -63,7 +63,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_phase_functions
-from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
+from gnc_opt.planning.problem.interval_arithmetic import bound_function_values
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.problem.scaling_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
@@ -96,7 +96,7 @@ from gnc_opt.planning.solution.solution_summary import find_overshooting_control
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, solve_with_tighter_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
-    build_polynomial_control_rows,
+    build_polynomial_control_constraints,
     check_number_of_arc_segments,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,

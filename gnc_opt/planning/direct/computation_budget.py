@@ -122,7 +122,7 @@ class WorkBudget:
         work = min(self.total, self._finishing_total) - self.spent
         return max(0.0, min(work, self.cpu_deadline - time.thread_time()))
 
-    def allot_share_of_total_work(
+    def allot_work_budget_share(
         self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
     ) -> WorkBudget:
         """Return the budget of a part of the search: a share of the total work, at most the rest, and own limits."""
@@ -158,7 +158,7 @@ class WorkBudget:
         left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
         return left if self.max_iterations is None else min(left, self.max_iterations)
 
-    def limit_remaining_work_to_completion(self, limited: bool) -> None:
+    def limit_work_to_completing_solution(self, limited: bool) -> None:
         """Limit the remaining work to that of completing a solution, or cancel this limit."""
         if not limited:
             self._finishing_total = math.inf

@@ -11,7 +11,11 @@ import casadi as ca
 from gnc_opt.argument_checks import read_integer, read_positive_number, require_type
 from gnc_opt.errors import unknown_name_error
 from gnc_opt.numerical_tolerances import PLAUSIBLE
-from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
+from gnc_opt.planning.nlp.nonlinear_program import (
+    NlpProblem,
+    build_cost_and_constraint_jacobian,
+    build_full_hessian,
+)
 
 WARM_PUSH = 1e-9
 """Distance by which a warm start is moved from its bounds, and its multipliers from zero (IPOPT cold: 1e-2)."""
@@ -189,7 +193,10 @@ def _build_jacobian_and_hessian_options(problem: NlpProblem, solver: str) -> dic
     if solver in ("ipopt", "bonmin"):
         given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}
     elif solver == "sqpmethod":
-        given = {"jac_fg": build_joint_jacobian(problem), "hess_lag": build_full_hessian(problem)}
+        given = {
+            "jac_fg": build_cost_and_constraint_jacobian(problem),
+            "hess_lag": build_full_hessian(problem),
+        }
     else:
         given = {}
     return {name: function for name, function in given.items() if function is not None}

@@ -79,7 +79,7 @@ class NlpProblem:
         return ca.Function("lagrangian", [x, p, lam_g], [f, g, ca.densify(total)])
 
 
-def build_joint_jacobian(problem: NlpProblem) -> Any:
+def build_cost_and_constraint_jacobian(problem: NlpProblem) -> Any:
     """Return `(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
     if problem.grad_f is None or problem.jac_g is None:
         return None

@@ -117,7 +117,7 @@ class SeparableProgram:
         total = linear @ x
         for block, weight in zip(self.blocks, weights, strict=True):
             outputs = block.function.value.map(block.n_points)(
-                _gather_point_variables(extended, block), block.data
+                _select_collocation_point_variables(extended, block), block.data
             )
             total += weight @ ca.vec(outputs)
         return ca.densify(total)
@@ -130,7 +130,7 @@ class SeparableProgram:
         values, entries = linear @ x, ca.MX(ca.DM(constant))
         for block, weight, scatter in zip(self.blocks, weights, scatters, strict=True):
             outputs, nonzeros = block.function.jacobian.map(block.n_points)(
-                _gather_point_variables(extended, block), block.data
+                _select_collocation_point_variables(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
             entries += convert_scipy_to_casadi(scatter) @ ca.vec(nonzeros)
@@ -146,7 +146,7 @@ class SeparableProgram:
                 convert_scipy_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
             )
             nonzeros = block.function.hessian.map(block.n_points)(
-                _gather_point_variables(extended, block), block.data, local
+                _select_collocation_point_variables(extended, block), block.data, local
             )
             total += convert_scipy_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
@@ -249,7 +249,7 @@ def _sort_unique_nonzero_positions(keys: list[Indices]) -> Indices:
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
-def _gather_point_variables(extended: Any, block: PointTerm) -> Any:
+def _select_collocation_point_variables(extended: Any, block: PointTerm) -> Any:
     n_z, n_points = block.variables.shape
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 

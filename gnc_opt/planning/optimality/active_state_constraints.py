@@ -214,7 +214,9 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         scale = np.where(
-            s.path_scale > STILL_STATE_SHARE * s.path_variations, s.path_scale, s.path_variations
+            s.path_scale > STILL_STATE_SHARE * s.path_constraint_variations,
+            s.path_scale,
+            s.path_constraint_variations,
         )
         paths = s.functions.path_constraints(s.times, s.x, s.u)
         near = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
@@ -223,9 +225,9 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     on_state = np.logical_or(*phase.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(phase.path_labels), s.times.size), dtype=bool)
-    if s.pure_state_paths.size:
+    if s.pure_state_constraints.size:
         pushes = np.abs(s.mu) * s.path_scale[:, None] > density
-        on_path[s.pure_state_paths] = (near & pushes)[s.pure_state_paths]
+        on_path[s.pure_state_constraints] = (near & pushes)[s.pure_state_constraints]
     along = np.vstack([on_state, on_path])
     # A limit reached at a single sample is touched: its derivatives need not vanish there.
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
@@ -400,7 +402,7 @@ class PureStateConstraints:
     @classmethod
     def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> PureStateConstraints:
         """Evaluate state bounds and pure state path constraints."""
-        phase, pure = s.leg, s.pure_state_paths
+        phase, pure = s.leg, s.pure_state_constraints
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
@@ -436,7 +438,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
         rest[:, k] -= directions @ (sizes + least)
     upper, lower = np.split(every, 2)
     atoms = np.zeros((len(s.leg.path_labels), breaks.size))
-    atoms[s.pure_state_paths] = (upper - lower)[s.leg.states.size :]
+    atoms[s.pure_state_constraints] = (upper - lower)[s.leg.states.size :]
     return rest, atoms
 
 
@@ -458,7 +460,7 @@ class TransversalityResidual:
 
 def explain_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
-    phase, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
+    phase, name, pure, n = s.leg, s.leg.name, s.pure_state_constraints, s.leg.states.size
     given = phase.final_bounds if at else phase.initial_bounds
     limits = intersect_bounds(given, phase.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
@@ -492,6 +494,6 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `PureStateConstraints`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
-        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_paths]])
+        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]])
     )
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

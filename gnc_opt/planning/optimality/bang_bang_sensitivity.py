@@ -72,7 +72,7 @@ class BangBangFlow:
 
     @property
     def final_state_sensitivity(self) -> Array:
-        return self._forward_sensitivities[1]
+        return self._step_and_final_state_sensitivities[1]
 
     def integrate_adjoint_equation(self, adjoint: Array) -> Array:
         """Return the gradient of ``adjoint @ final`` in the states at all step ends (n, n_steps + 1)."""
@@ -92,8 +92,8 @@ class BangBangFlow:
         for j in reversed(range(len(jacobians))):
             adjoints[j] = adjoint
             adjoint = adjoint @ jacobians[j]
-        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints.T)
-        directions = self._forward_sensitivities[0]
+        hessians = self._integration_step_derivatives.compute_integration_step_hessians(adjoints.T)
+        directions = self._step_and_final_state_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _compute_cost_gradients(self, adjoint: Array) -> Array:
@@ -111,7 +111,7 @@ class BangBangFlow:
         return _StepDerivatives(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
-    def _forward_sensitivities(self) -> tuple[Array, Array]:
+    def _step_and_final_state_sensitivities(self) -> tuple[Array, Array]:
         """Derivatives of (state, step length) of every step in the unknowns, and of the final state."""
         (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
@@ -251,7 +251,7 @@ class _StepDerivatives:
         self._rates, self._inputs, self._places = rates, inputs, places
         self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians
 
-    def compute_step_hessians(self, adjoints: Array) -> Array:
+    def compute_integration_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         stage_weights, step_weights = _get_butcher_tableau()
         (n, n_steps), n_stages = adjoints.shape, len(step_weights)

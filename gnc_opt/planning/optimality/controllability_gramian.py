@@ -131,7 +131,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
         by_control = np.concatenate([by_control, set_nonfinite_to_zero(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
     half = exponentiate_matrices(0.5 * widths[:, None, None] * by_state)
-    pushes = s.segment_integrals(deviation)
+    pushes = s.integrate_over_segments(deviation)
     strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
     moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
     total, mean, lasts = start.copy(), np.zeros_like(start), float(phase.breaks[-1] - phase.breaks[0])
@@ -152,7 +152,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, decay)
 
 
-def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
+def differentiate_final_state_by_controls(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
     widths, (times, x, u), by_state, by_control = _linearise_dynamics(s)
     halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state), np.eye(x.shape[0])
@@ -174,7 +174,7 @@ def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Arr
     """Return widths and centres of cells, and the finite Jacobians there in states and controls (n_cells, n, ...)."""
     at = sample_trajectory_at_cell_centres(s)
     with np.errstate(all="ignore"):
-        found = s.functions.state_jacobian(*at), s.functions.input_jacobian(*at)
+        found = s.functions.state_jacobian(*at), s.functions.dynamics_control_jacobian(*at)
     by_state, by_control = (np.moveaxis(set_nonfinite_to_zero(jacobian), 2, 0) for jacobian in found)
     return np.diff(subdivide_mesh_segments(s.leg.breaks)), at, by_state, by_control
 
@@ -235,7 +235,7 @@ def _build_initial_gramian(
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
     size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
-    size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
+    size = np.where(size > 0, size, s.leg.state_bounds.finite_width_or_zero)
     own = left * replace_zero_divisors_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():

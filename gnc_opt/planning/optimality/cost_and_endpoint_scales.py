@@ -154,7 +154,7 @@ def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
-    effects = (s.functions.input_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
+    effects = (s.functions.dynamics_control_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
     own, beside = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
     if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * asked, rounding)):

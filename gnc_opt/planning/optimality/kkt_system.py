@@ -124,7 +124,7 @@ class ProgramPoint:
         variables = ProgramLimits.from_values(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
-        rows = ProgramLimits.from_values(row_box, g, lam / row_weights, transcription.row_labels)
+        rows = ProgramLimits.from_values(row_box, g, lam / row_weights, transcription.constraint_row_labels)
         return cls(
             problem,
             transcription,
@@ -261,12 +261,12 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     ordered = scipy.sparse.diags_array(scale) @ matrix[order][:, order]
     factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(ordered), permc_spec="NATURAL")
 
-    def solve_in_order(right: Array) -> Array:
+    def solve_permuted_system(right: Array) -> Array:
         solution = np.empty(right.size)
         solution[order] = factors.solve(scale * right[order])
         return solution
 
-    return solve_in_order
+    return solve_permuted_system
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,10 +299,10 @@ class NullSpace:
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
-        jacobian, norms = _normalise_rows(point.constraint_jacobian[rows] @ unit)
-        parts = [jacobian, _normalise_rows(moved)[0]]
+        jacobian, norms = _normalise_matrix_rows(point.constraint_jacobian[rows] @ unit)
+        parts = [jacobian, _normalise_matrix_rows(moved)[0]]
         if further is not None:
-            parts.append(_normalise_rows(further @ unit)[0])
+            parts.append(_normalise_matrix_rows(further @ unit)[0])
         return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
 
     @property
@@ -313,7 +313,7 @@ class NullSpace:
         """Return a Hessian in all scaled variables as a Hessian in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
-    def expand_variation(self, variation: Array) -> Array:
+    def expand_null_space_variation(self, variation: Array) -> Array:
         return np.asarray(self.unit @ variation)
 
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
@@ -325,13 +325,15 @@ class NullSpace:
         return matrix, factorise_symmetric_matrix(matrix - slack)
 
     @cached_property
-    def factorise_identity(self) -> tuple[Any, Callable[[Array], Array]]:
+    def factorise_projection_matrix(self) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle-point matrix of the identity and its solver, a projection onto the null space."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
     def invert_projected_hessian(self, hessian: Any = None) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space; without a Hessian the projection onto it."""
-        matrix, solve = self.factorise_identity if hessian is None else self.factorise_hessian(hessian)
+        matrix, solve = (
+            self.factorise_projection_matrix if hessian is None else self.factorise_hessian(hessian)
+        )
         rows = np.zeros(self.jacobian.shape[0])
 
         def apply_projected_inverse(vector: Array) -> Array:
@@ -343,7 +345,7 @@ class NullSpace:
         return apply_projected_inverse
 
 
-def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:
+def compute_curvature_along_direction(hessian: Any, direction: Array) -> tuple[float, float]:
     """Return the curvature along a direction, absolute and relative to the sum of its terms."""
     value = float(direction @ (hessian @ direction))
     terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
@@ -382,7 +384,7 @@ def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float]
     return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= MINOR * np.max(np.abs(values)))
 
 
-def _normalise_rows(rows: Any) -> tuple[Any, Array]:
+def _normalise_matrix_rows(rows: Any) -> tuple[Any, Array]:
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = replace_zero_divisors_by_one(norms)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms

@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
@@ -61,7 +61,11 @@ def _find_costate_jump_candidates(
     nowhere = np.zeros(0, dtype=bool)
     found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
     for name, part in transcription.parts.items():
-        phase, functions, fit = problem.phases[name], bind_parameters(problem, name, q), fitted[name]
+        phase, functions, fit = (
+            problem.phases[name],
+            bind_free_parameter_values(problem, name, q),
+            fitted[name],
+        )
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
         pure = np.flatnonzero([order != 0 for order in orders])
         if not pure.size:
@@ -209,13 +213,7 @@ class _CostateFit:
     """
 
     def __init__(
-        self,
-        matrix: Any,
-        gradient: Array,
-        exact: Mask,
-        basis: Mask,
-        limits: _ActiveSet,
-        pushing: _ActiveSet,
+        self, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _ActiveSet, pushing: _ActiveSet
     ) -> None:
         self._loose, self.columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
         self.freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
@@ -256,7 +254,7 @@ class _CostateFit:
         left[self.freed] = -unknowns[self.columns.size :]
         return left
 
-    def expand_multipliers(self, unknowns: Array) -> Array:
+    def expand_unknown_multipliers(self, unknowns: Array) -> Array:
         found = np.zeros(self._size)
         found[self.columns] = unknowns[: self.columns.size]
         found[self._basis] = self._response @ np.append(unknowns, 1.0)
@@ -264,12 +262,7 @@ class _CostateFit:
 
 
 def _fit_multipliers(
-    matrix: Any,
-    gradient: Array,
-    exact: Mask,
-    basis: Mask,
-    limits: _ActiveSet,
-    row_limits: _ActiveSet,
+    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _ActiveSet, row_limits: _ActiveSet
 ) -> Array:
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
     try:
@@ -296,17 +289,13 @@ def _fit_multipliers(
         if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
             right = _fit_multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
-                return form.expand_multipliers(right)
+                return form.expand_unknown_multipliers(right)
         imposed, pushing = imposed | pulling, pushing & ~wrong
-    return form.expand_multipliers(unknowns)
+    return form.expand_unknown_multipliers(unknowns)
 
 
 def _fit_multipliers_with_right_signs(
-    form: _CostateFit,
-    first: Array,
-    limits: _ActiveSet,
-    row_limits: _ActiveSet,
-    size: float,
+    form: _CostateFit, first: Array, limits: _ActiveSet, row_limits: _ActiveSet, size: float
 ) -> Array | None:
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.is_at_any_limit.size
@@ -384,7 +373,11 @@ def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPha
     middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(
-        np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
+        np.nan_to_num(
+            bind_free_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
+        ),
+        2,
+        0,
     )
     size = replace_zero_divisors_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])

@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.numerical_tolerances import EQUAL, NOTABLE
-from gnc_opt.planning.problem.kink_detection import build_comparison_function
+from gnc_opt.planning.problem.kink_detection import build_threshold_crossing_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
@@ -42,21 +42,21 @@ def find_sign_change_times(
 
 def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
-    centres = build_comparison_function(problem, problem.phases[s.leg.name])
+    centres = build_threshold_crossing_function(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_duration:
         return np.zeros(0)
 
-    def evaluate_distances_to_constants(times: Array) -> Array:
+    def evaluate_threshold_distances(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.leg.x(times), s.leg.applied(times)
         return np.asarray(evaluate_casadi_batch(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
-    signs = np.sign(evaluate_distances_to_constants(times))
+    signs = np.sign(evaluate_threshold_distances(times))
     rows, places = np.nonzero(np.abs(np.diff(signs)) == 2)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    crossed = find_sign_change_times(evaluate_distances_to_constants, rows, times[places], times[places + 1])
+    crossed = find_sign_change_times(evaluate_threshold_distances, rows, times[places], times[places + 1])
     found = np.concatenate([crossed, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))

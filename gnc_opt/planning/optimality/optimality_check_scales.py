@@ -50,8 +50,8 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
     Reach,
     compute_control_gramians,
-    compute_final_state_response,
     compute_phase_reachable_sets,
+    differentiate_final_state_by_controls,
     differentiate_linked_initial_states,
     evaluate_boundary_jacobians,
     sample_trajectory_at_cell_centres,
@@ -70,7 +70,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
@@ -160,7 +160,7 @@ class Scales:
             deviations = resolved
             reach = compute_reachable_sets({})
         cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(_compute_end_time_shift_cost(s, ends.compute_cost_of_end_times(s)) for s in samples)
+        cost += sum(_compute_end_time_shift_cost(s, ends.compute_cost_rate_of_time_shift(s)) for s in samples)
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -182,9 +182,9 @@ class Scales:
             reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        constraints = ends.compute_constraint_differences(reach, parameters)
+        constraints = ends.compute_boundary_constraint_differences(reach, parameters)
         near = tuple(
-            (step, *ends.compute_constraint_differences(reach, parameters, step)[:2])
+            (step, *ends.compute_boundary_constraint_differences(reach, parameters, step)[:2])
             for step in NEARER_SHARES
         )
         return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
@@ -199,7 +199,7 @@ class Scales:
         cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & has_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
-        times, response = compute_final_state_response(s)
+        times, response = differentiate_final_state_by_controls(s)
         moved = np.einsum("i,imt->mt", gap, response) * s.span / np.where(cheap, bends, 1.0)[:, None]
         deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
         share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
@@ -260,14 +260,16 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (
-        set_nonfinite_to_zero(compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1])
+        set_nonfinite_to_zero(compute_hamiltonian_integral_differences(s, moves, step, ROUGH_SAMPLES)[1])
         for step in steps
     )
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
-def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
+def compute_hamiltonian_integral_differences(
+    s: PhaseSamples, moves: Array, step: float, every: int = 1
+) -> Array:
     """Return the central first and half the second difference per step of the integral of H along moves (2, n).
 
     Every n-th sample is used.
@@ -302,7 +304,7 @@ def _compute_parameter_variation_scales(
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().width_or_zero
+    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().finite_width_or_zero
     return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
 
 
@@ -329,7 +331,7 @@ def _differentiate_lagrangian(
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)
+        functions = bind_free_parameter_values(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
@@ -376,7 +378,7 @@ class EndPoints:
         gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
-    def compute_largest_changes(self) -> Array:
+    def compute_largest_endpoint_changes(self) -> Array:
         """Return the largest changes of constraints and cost (n_constraints + 1,) over variation scales of the ends.
 
         They are the reference for vanishing costates, unlike values, which may contain constants.
@@ -392,7 +394,7 @@ class EndPoints:
         values = np.append(self.gradients.constraints, self.gradients.cost)
         return np.asarray(np.fmax(changes, SPAN_MIN_SHARE * np.abs(values)))
 
-    def compute_cost_of_end_times(self, s: PhaseSamples) -> float:
+    def compute_cost_rate_of_time_shift(self, s: PhaseSamples) -> float:
         """Return the cost per second of a time shift of the ends of a phase."""
         name = s.leg.name
         return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))
@@ -402,16 +404,16 @@ class EndPoints:
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        _, second = self._compute_endpoint_finite_differences(self._list_principal_axis_displacements(reach))
-        change = self._lagrangian_weights @ second if constrained else second[-1]
+        _, second = self._compute_endpoint_finite_differences(self._list_end_displacements_along_axes(reach))
+        change = self._lagrangian_multipliers_and_cost_sign @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
-    def compute_constraint_differences(
+    def compute_boundary_constraint_differences(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
         moves = [
-            self._list_principal_axis_displacements(reach),
+            self._list_end_displacements_along_axes(reach),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
@@ -427,7 +429,7 @@ class EndPoints:
         return first, second, terms
 
     @property
-    def _lagrangian_weights(self) -> Array:
+    def _lagrangian_multipliers_and_cost_sign(self) -> Array:
         """Multipliers of the constraints, and the sense of the cost."""
         sense = self.solution.need_problem("verify").sense
         return np.append(self.solution.constraint_multipliers, sense)
@@ -440,7 +442,7 @@ class EndPoints:
             moves[k] = change
         return np.vstack(moves)
 
-    def _list_principal_axis_displacements(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
+    def _list_end_displacements_along_axes(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
         """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
@@ -467,7 +469,7 @@ class EndPoints:
     ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
-            self._list_principal_axis_displacements(reach, still=True),
+            self._list_end_displacements_along_axes(reach, still=True),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
@@ -475,7 +477,15 @@ class EndPoints:
                 if not box.is_fixed[0]:
                     moves.append(self._expand_endpoint_displacements({place: np.array([[s.span]])}))
         first, second = self._compute_endpoint_finite_differences(step * np.hstack(moves))
-        return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
+        return (
+            np.stack(
+                [
+                    self._lagrangian_multipliers_and_cost_sign @ first,
+                    0.5 * (self._lagrangian_multipliers_and_cost_sign @ second),
+                ]
+            )
+            / step
+        )
 
     def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""

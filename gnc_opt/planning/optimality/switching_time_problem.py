@@ -110,7 +110,7 @@ class Switches:
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
-    def build_sequence_constraints(self, order: tuple[int, ...]) -> Array:
+    def build_switch_sequence_constraints(self, order: tuple[int, ...]) -> Array:
         """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
         pieces = self.build_piecewise_control(order)
         rows = []
@@ -238,7 +238,7 @@ class EndConditions:
     multipliers: Array
 
     @classmethod
-    def concatenate_conditions(cls, parts: list[EndConditions]) -> EndConditions:
+    def concatenate_end_conditions(cls, parts: list[EndConditions]) -> EndConditions:
         return cls(
             np.concatenate([rows.values for rows in parts]),
             stack_intervals([rows.limits for rows in parts]),
@@ -403,7 +403,7 @@ def _collect_boundary_conditions(
     at_end.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
     q = solution.parameter_values
     others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
-    return EndConditions.concatenate_conditions([*at_end, *others])
+    return EndConditions.concatenate_end_conditions([*at_end, *others])
 
 
 def build_endpoint_derivative_function(problem: Problem) -> Any:

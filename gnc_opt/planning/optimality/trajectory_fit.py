@@ -99,7 +99,7 @@ def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPha
     controls = _ControlFit(samples, jumps)
     controls.choose_control_interpolation(samples, rates)
     for interval in sorted({jump.after for jump in unmarked}):
-        _locate_jump_times(samples, controls, [j for j in unmarked if j.after == interval], rates)
+        _refine_control_jump_times(samples, controls, [j for j in unmarked if j.after == interval], rates)
     return _fit_polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
 
 
@@ -221,7 +221,7 @@ def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     return scipy.interpolate.CubicSpline(t, u), akima
 
 
-def _locate_jump_times(
+def _refine_control_jump_times(
     samples: SampledPhase, controls: _ControlFit, jumps: list[_Jump], rates: Rates
 ) -> None:
     """Move jumps between two samples to the time at which the dynamics connect the states."""

@@ -38,7 +38,7 @@ def split_bounds_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
 
 def stack_named_bounds(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     """Return named ranges stacked in the order of a layout; missing ones are free."""
-    box = free_interval(layout.size)
+    box = unbounded_interval(layout.size)
     for name in layout.names:
         if name in boxes:
             box.lower[layout.slice(name)], box.upper[layout.slice(name)] = (
@@ -50,7 +50,7 @@ def stack_named_bounds(boxes: Mapping[str, Interval], layout: Layout) -> Interva
 
 def get_control_bounds(model: Model) -> Interval:
     """Return the default bounds of controls: parts of split controls and magnitudes are >= 0, others free."""
-    box = free_interval(model.controls.size)
+    box = unbounded_interval(model.controls.size)
     for control in model.composed_controls.values():
         for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
             box.lower[model.controls.slice(part)] = 0.0
@@ -126,7 +126,7 @@ class Interval:
         return np.asarray(0.5 * (low + high))
 
     @property
-    def width_or_zero(self) -> Array:
+    def finite_width_or_zero(self) -> Array:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
@@ -152,13 +152,13 @@ class Interval:
         return values <= lower + slack, values >= upper - slack
 
 
-def free_interval(size: int) -> Interval:
+def unbounded_interval(size: int) -> Interval:
     """Return the interval without limits."""
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
 
 
 def stack_intervals(boxes: Iterable[Interval]) -> Interval:
-    every = [free_interval(0), *boxes]
+    every = [unbounded_interval(0), *boxes]
     return Interval(
         np.concatenate([box.lower for box in every]), np.concatenate([box.upper for box in every])
     )
@@ -176,28 +176,28 @@ def read_value_or_range(value: Any, size: int, what: str) -> Interval:
         Wrong number of components, NaN, lower limit above upper limit, or an ambiguous tuple.
     """
     if value is None:
-        return free_interval(size)
+        return unbounded_interval(size)
     if size == 1 and _is_number_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
         fixed = Interval(_parse_limit(value, -np.inf, size, what), _parse_limit(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what}: NaN; give a number, or None to leave it free.")
-        return check_interval(fixed, what)
+        return check_interval_not_empty(fixed, what)
     if len(value) != 2:
         raise ProblemError(
             f"{what}: tuple of {len(value)} entries, but a tuple means (lower, upper); write a value as "
             "a list."
         )
     reject_ambiguous_value_or_range(value, size, what, "([a, a], [b, b]) for a range")
-    return read_range(value[0], value[1], size, what)
+    return read_lower_and_upper_limits(value[0], value[1], size, what)
 
 
-def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
+def read_lower_and_upper_limits(lower: Any, upper: Any, size: int, what: str) -> Interval:
     """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
     low = _parse_limit(lower, -np.inf, size, f"the lower limit of {what}")
     high = _parse_limit(upper, np.inf, size, f"the upper limit of {what}")
-    return check_interval(Interval(low, high), what)
+    return check_interval_not_empty(Interval(low, high), what)
 
 
 def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
@@ -221,7 +221,7 @@ def reject_ambiguous_value_or_range(value: tuple[Any, Any], size: int, what: str
         )
 
 
-def check_interval(interval: Interval, what: str) -> Interval:
+def check_interval_not_empty(interval: Interval, what: str) -> Interval:
     """Return the interval; raise `ProblemError` for NaN, crossed limits and infinite values."""
     what = what.removeprefix("the ")
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.model_variables import Variable, convert_to_sx_column, read_vector
-from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
+from gnc_opt.planning.problem.bounds import Interval, read_lower_and_upper_limits, read_value_or_range
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
     size = value.shape[0]
     if equals is not None:
         return Constraint(name, value, read_value_or_range(read_vector(equals, size, what), size, what))
-    return Constraint(name, value, read_range(lower, upper, size, what))
+    return Constraint(name, value, read_lower_and_upper_limits(lower, upper, size, what))
 
 
 _COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
@@ -86,4 +86,4 @@ def _read_comparison_constraint(name: str, value: Any, what: str) -> Constraint:
             rows.append(left - right)
             ends.append((0.0 if equal else -np.inf, 0.0))
     lower, upper = np.array(ends).T
-    return Constraint(name, ca.vertcat(*rows), read_range(lower, upper, len(rows), what))
+    return Constraint(name, ca.vertcat(*rows), read_lower_and_upper_limits(lower, upper, len(rows), what))

@@ -58,7 +58,7 @@ class MutablePhase(Protocol):
 
 def limit_control_rates(phase: MutablePhase, ranges: Mapping[str, Any]) -> None:
     """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
-    _require_control_names(phase, ranges, "rates(u=(-1, 1))")
+    _require_at_least_one_control_name(phase, ranges, "rates(u=(-1, 1))")
     for name, limits in ranges.items():
         symbol = _get_control_symbol(phase, name, "rates")
         v = symbol.variable
@@ -69,7 +69,7 @@ def limit_control_rates(phase: MutablePhase, ranges: Mapping[str, Any]) -> None:
 
 def make_polynomial_controls(phase: MutablePhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
-    _require_control_names(phase, degrees, "polynomials(u=3)")
+    _require_at_least_one_control_name(phase, degrees, "polynomials(u=3)")
     for name, given in degrees.items():
         symbol = _get_control_symbol(phase, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {phase.label}", 0, ProblemError)
@@ -88,7 +88,7 @@ def make_polynomial_controls(phase: MutablePhase, degrees: Mapping[str, int]) ->
         phase.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
 
-def add_phase_fraction_state(phase: MutablePhase) -> Any:
+def add_elapsed_fraction_state(phase: MutablePhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in phase.model.states:
         fraction = _create_state_symbol(phase, FRACTION, 1, "")
@@ -104,7 +104,7 @@ def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _require_control_names(phase: MutablePhase, given: Mapping[str, Any], example: str) -> None:
+def _require_at_least_one_control_name(phase: MutablePhase, given: Mapping[str, Any], example: str) -> None:
     if not given:
         name = example.partition("(")[0]
         raise ProblemError(f"{name}() of {phase.label} names no control: write {example}.")

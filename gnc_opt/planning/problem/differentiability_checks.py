@@ -355,7 +355,7 @@ def _get_phase_functions_with_jacobian(
     t, x, u, p = phase.model.arguments()
     q = problem.parameter_symbols()
 
-    def build_phase_functions() -> list[tuple[str, tuple[str, ...], Any]]:
+    def build_phase_functions_with_jacobian() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
             (
                 what,
@@ -368,7 +368,7 @@ def _get_phase_functions_with_jacobian(
             if rows
         ]
 
-    return problem.memoize(("check", phase.name), build_phase_functions)
+    return problem.memoize(("check", phase.name), build_phase_functions_with_jacobian)
 
 
 def _list_rates_paths_and_integrands(phase: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:

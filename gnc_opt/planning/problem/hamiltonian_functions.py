@@ -33,7 +33,7 @@ from gnc_opt.model.model_variables import convert_to_sx_column
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import (
-    build_phase_function,
+    build_function_along_phase,
     list_endpoint_arguments,
     list_endpoint_symbols,
     substitute_parameters,
@@ -169,9 +169,9 @@ class PhaseFunctions:
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
 
-    def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def dynamics_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/du, shape (n_states, n_controls, ...)."""
-        flat = self._evaluate_function_by_name("input_jacobian", t, x, u)
+        flat = self._evaluate_function_by_name("dynamics_control_jacobian", t, x, u)
         return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
@@ -246,7 +246,7 @@ def _build_hamiltonian_and_rate_functions(problem: Problem, phase: Phase) -> dic
         "parameter_gradient": ca.gradient(augmented, q),
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
         "state_jacobian": ca.vec(ca.jacobian(f, x).T),
-        "input_jacobian": ca.vec(ca.jacobian(f, u).T),
+        "dynamics_control_jacobian": ca.vec(ca.jacobian(f, u).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
         "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
         "path_gradients": ca.vec(ca.jacobian(c, ca.vertcat(t, x, q))),
@@ -355,7 +355,11 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     if isinstance(expression, str):
         expression = selected.model.output_expression(expression)
     value = convert_to_sx_column(expression, "the expression to evaluate", None, ProblemError)
-    value = value if selected.restatement is None else selected.restatement.express_in_solved_controls(value)
+    value = (
+        value
+        if selected.restatement is None
+        else selected.restatement.express_by_reformulated_controls(value)
+    )
     problem.check_foreign_symbols(selected, value, "the expression to evaluate")
-    function = build_phase_function(problem, selected, "evaluate", value)
+    function = build_function_along_phase(problem, selected, "evaluate", value)
     return lambda *arguments: evaluate_casadi_function(function, *arguments)

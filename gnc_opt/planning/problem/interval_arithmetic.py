@@ -21,7 +21,7 @@ from gnc_opt.model.casadi_expression_graph import (
     iterate_subexpressions,
     replace_subexpressions_by_hash,
 )
-from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, unbounded_interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 
@@ -30,7 +30,7 @@ Range: TypeAlias = "tuple[float, float]"
 ANY: Range = (-math.inf, math.inf)
 
 
-def compute_value_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
+def bound_function_values(function: Any, arguments: Sequence[Interval]) -> Interval:
     """Return the range of every entry of an SXFunction's first output for ranges of its dense arguments."""
     size = function.size1_out(0)
     found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
@@ -168,7 +168,7 @@ class SymbolRanges:
             symbols.append(phase.integral_symbols())
             boxes += [
                 intersect_bounds(numbers.final, numbers.states),
-                free_interval(len(phase.integrands)),
+                unbounded_interval(len(phase.integrands)),
             ]
             own = zip(ca.vertsplit(phase.model.arguments()[3]), phase.model.parameter_values, strict=True)
             constants |= {s.element_hash(): (s, value) for s, value in own}
@@ -181,33 +181,33 @@ class SymbolRanges:
         """Key that is equal for equal ranges."""
         return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
 
-    def evaluate_ranges(self, column: Any) -> Interval:
-        return compute_value_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
+    def bound_expression_values(self, column: Any) -> Interval:
+        return bound_function_values(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
     def compute_monotonicity_signs(self, expression: Any, nodes: list[Any]) -> list[int]:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replace_subexpressions_by_hash(expression, place)
-        boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
+        boxes = (*self.boxes, self.bound_expression_values(ca.vertcat(*nodes)))
         within = SymbolRanges((*self.symbols, z), boxes)
-        slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)
+        slopes = within.bound_expression_values(ca.jacobian(of_z, z).T)
         return [
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
-    def find_definite_sign(self, expression: Any) -> int:
+    def find_expression_sign(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
-        found = self.evaluate_ranges(expression)
+        found = self.bound_expression_values(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
             return 1 if found.lower[0] >= 0 else -1
         if expression.is_symbolic():
             return 0
         for symbol in ca.symvar(expression):  # intervals overestimate repeated factors: v / 0.8 - 0.8 v
             if is_affine(expression, symbol) and not np.any(
-                evaluate_at_random_points(ca.substitute(expression, symbol, 0.0))
+                sample_expression_randomly(ca.substitute(expression, symbol, 0.0))
             ):
-                return self.find_definite_sign(symbol) * self.find_definite_sign(
+                return self.find_expression_sign(symbol) * self.find_expression_sign(
                     ca.jacobian(expression, symbol)
                 )
         return 0
@@ -225,7 +225,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
     return not any(ca.depends_on(node, symbol) for node in jumps)
 
 
-def evaluate_at_random_points(column: Any) -> Array:
+def sample_expression_randomly(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for several values of its symbols."""
     symbols, column = ca.vertcat(*ca.symvar(column)), ca.densify(column)
     if not symbols.numel():

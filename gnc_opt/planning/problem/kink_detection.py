@@ -13,7 +13,7 @@ from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.symbolic_expressions import (
-    build_phase_function,
+    build_function_along_phase,
     list_table_calls,
     stack_phase_expressions,
 )
@@ -72,18 +72,20 @@ def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctio
         if not found:
             return None
         words, arguments = zip(*found.values(), strict=True)
-        return KinkFunctions(words, build_phase_function(problem, phase, "kinks", ca.vertcat(*arguments)))
+        return KinkFunctions(
+            words, build_function_along_phase(problem, phase, "kinks", ca.vertcat(*arguments))
+        )
 
     return problem.memoize(("kinks", phase.name), collect_kink_functions)
 
 
-def build_comparison_function(problem: ProblemData, phase: Phase) -> Any:
+def build_threshold_crossing_function(problem: ProblemData, phase: Phase) -> Any:
     """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
 
     Narrow features such as gusts or time windows are at their zeros.
     """
 
-    def collect_comparisons() -> Any:
+    def collect_threshold_comparisons() -> Any:
         t, x, _, _ = phase.model.arguments()
         moving, found = ca.vertcat(t, x), {}
         for node in iterate_subexpressions(stack_phase_expressions(phase)):
@@ -95,9 +97,9 @@ def build_comparison_function(problem: ProblemData, phase: Phase) -> Any:
                     found[node.element_hash()] = node
         if not found:
             return None
-        return build_phase_function(problem, phase, "centres", ca.vertcat(*found.values()))
+        return build_function_along_phase(problem, phase, "centres", ca.vertcat(*found.values()))
 
-    return problem.memoize(("centres", phase.name), collect_comparisons)
+    return problem.memoize(("centres", phase.name), collect_threshold_comparisons)
 
 
 def _get_kink_argument(node: Any, operation: int) -> Any:

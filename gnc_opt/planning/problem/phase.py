@@ -27,7 +27,6 @@ from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction,
 from gnc_opt.planning.problem.bounds import (
     Interval,
     convert_ranges_to_split_controls,
-    free_interval,
     get_control_bounds,
     intersect_bounds,
     read_norm_ranges,
@@ -36,10 +35,11 @@ from gnc_opt.planning.problem.bounds import (
     split_bounds_by_name,
     stack_intervals,
     stack_named_bounds,
+    unbounded_interval,
 )
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.controls_as_states import (
-    add_phase_fraction_state,
+    add_elapsed_fraction_state,
     limit_control_rates,
     make_polynomial_controls,
     split_time_dependent_bounds,
@@ -113,9 +113,9 @@ class Phase(StrictAttributes):
             None,
             None,
             duration,
-            free_interval(n),
-            free_interval(n),
-            free_interval(n),
+            unbounded_interval(n),
+            unbounded_interval(n),
+            unbounded_interval(n),
             controls,
         )
         self.paths: dict[str, Constraint] = {
@@ -318,10 +318,12 @@ class Phase(StrictAttributes):
         """
         guess, known = self.numbers.guess, self.guessable_names
         sizes = {
-            name: (known.get(name) or self._get_variable_layout(name, "guess")[name]).size
+            name: (known.get(name) or self._get_state_or_control_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._replace_bounds_and_guess(guess=guess.add_times_and_values(time, values, sizes, self.label))
+        self._replace_bounds_and_guess(
+            guess=guess.add_guess_times_and_values(time, values, sizes, self.label)
+        )
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
@@ -330,7 +332,7 @@ class Phase(StrictAttributes):
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
-            size = self._get_variable_layout(name, "scale")[name].size
+            size = self._get_state_or_control_layout(name, "scale")[name].size
             scales[name] = read_nominal_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
         self._replace_bounds_and_guess(scales=scales)
 
@@ -363,7 +365,7 @@ class Phase(StrictAttributes):
     @property
     def fraction(self) -> Any:
         """Symbol of the elapsed share of the phase, from 0 to 1, for bounds and expressions along the phase."""
-        return add_phase_fraction_state(self)
+        return add_elapsed_fraction_state(self)
 
     def add_states(
         self,
@@ -394,7 +396,7 @@ class Phase(StrictAttributes):
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
-        final, none = self.numbers.final, free_interval(self.model.states.size)
+        final, none = self.numbers.final, unbounded_interval(self.model.states.size)
         self._replace_bounds_and_guess(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
@@ -593,10 +595,12 @@ class Phase(StrictAttributes):
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
-            (states if self._get_variable_layout(name, what).kind == "state" else controls)[name] = value
+            (states if self._get_state_or_control_layout(name, what).kind == "state" else controls)[name] = (
+                value
+            )
         return states, controls
 
-    def _get_variable_layout(self, name: str, what: str) -> Layout:
+    def _get_state_or_control_layout(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):
             if name in layout:
                 return layout

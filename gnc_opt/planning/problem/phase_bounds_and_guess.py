@@ -34,7 +34,7 @@ class PhaseGuess:
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
 
-    def add_times_and_values(
+    def add_guess_times_and_values(
         self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
     ) -> PhaseGuess:
         """Return the guess extended by new values and times; see `Phase.guess`.
@@ -118,17 +118,17 @@ class ControlMap:
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
 
-    def express_in_solved_controls(self, expression: Any) -> Any:
+    def express_by_reformulated_controls(self, expression: Any) -> Any:
         """Return an expression of the stated controls in terms of the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
-    def compose_with(self, earlier: ControlMap | None) -> ControlMap:
+    def compose_with_earlier_map(self, earlier: ControlMap | None) -> ControlMap:
         if earlier is None:
             return self
         return ControlMap(
             earlier.model,
             ca.vertcat(earlier.stated, self.stated),
-            ca.vertcat(self.express_in_solved_controls(earlier.solved), self.solved),
+            ca.vertcat(self.express_by_reformulated_controls(earlier.solved), self.solved),
             ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
         )

@@ -35,17 +35,20 @@ class DivisibleProblem(PhaseOwner, Protocol):
 def divide_phase(
     problem: DivisibleProblem, phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
-    _require_divisible_phase(problem, phase)
+    _check_phase_can_be_divided(problem, phase)
     begin, end, total = phase.numbers.initial_time, phase.numbers.final_time, phase.numbers.duration
     if begin is None or end is None:
         raise ProblemError(f"{phase.label} has no times: call time(initial=..., final=...) before divide().")
     parts = [
         phase,
         *phase.create_following_phases(
-            [f"{phase.name}_{k + 2}" for k in range(np.size(_read_division_points(phase, times, fractions)))]
+            [
+                f"{phase.name}_{k + 2}"
+                for k in range(np.size(_read_phase_division_points(phase, times, fractions)))
+            ]
         ),
     ]
-    marks = [begin, *_read_division_times(phase, times, fractions, begin, end), end]
+    marks = [begin, *_read_phase_division_times(phase, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
@@ -65,19 +68,19 @@ def divide_phase(
     return tuple(parts)
 
 
-def _read_division_points(phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
+def _read_phase_division_points(phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
     if (times is None) == (fractions is None):
         raise ProblemError(f"divide() of {phase.label} needs either times or fractions: give one of them.")
     return times if fractions is None else fractions
 
 
-def _read_division_times(
+def _read_phase_division_times(
     phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     what = "times" if fractions is None else "fractions"
     values = np.ravel(
         read_float_array(
-            _read_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError
+            _read_phase_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError
         )
     )
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
@@ -96,7 +99,7 @@ def _read_division_times(
             yield Interval(*limits)
 
 
-def _require_divisible_phase(problem: DivisibleProblem, phase: Phase) -> None:
+def _check_phase_can_be_divided(problem: DivisibleProblem, phase: Phase) -> None:
     problem.require_mutable()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (

@@ -26,7 +26,7 @@ from gnc_opt.errors import ProblemError, quote_value, unknown_name_error, warn_u
 from gnc_opt.model.model_variables import Layout, Symbol, Variable, convert_to_sx_column, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
-from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
+from gnc_opt.planning.problem.bounds import Interval, read_lower_and_upper_limits, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import guess_end_states_from_constraint
@@ -59,8 +59,8 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
         digest.update(_serialise_phase_expressions(problem, phase))
         for vector in (
             _list_fixed_parameter_values(problem, phase),
-            *_list_bound_arrays(phase.numbers),
-            *_list_bound_arrays(phase.get_path_bounds()),
+            *_list_numeric_arrays_of_bounds(phase.numbers),
+            *_list_numeric_arrays_of_bounds(phase.get_path_bounds()),
         ):
             digest.update(vector.tobytes())
     digest.update(
@@ -69,8 +69,8 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
         )
     )
     for vector in (
-        *_list_bound_arrays(problem.get_boundary_constraint_bounds()),
-        *_list_bound_arrays(problem.get_parameter_bounds()),
+        *_list_numeric_arrays_of_bounds(problem.get_boundary_constraint_bounds()),
+        *_list_numeric_arrays_of_bounds(problem.get_parameter_bounds()),
     ):
         digest.update(vector.tobytes())
     return digest.hexdigest()[:16]
@@ -89,7 +89,7 @@ def _list_fixed_parameter_values(problem: ProblemData, phase: Phase) -> Array:
     return values
 
 
-def _list_bound_arrays(box: Any) -> Iterable[Array]:
+def _list_numeric_arrays_of_bounds(box: Any) -> Iterable[Array]:
     for value in vars(box).values():
         if isinstance(value, Interval):
             yield from (value.lower, value.upper)
@@ -269,7 +269,7 @@ class Problem(ProblemData):
             )
         size = read_integer(size, f"the size of {what}", 1, ProblemError)
         require_type(unit, str, f"the unit of {what}", 'write unit="m/s"')
-        bounds = read_range(lower, upper, size, what)
+        bounds = read_lower_and_upper_limits(lower, upper, size, what)
         start = bounds.midpoint if guess is None else read_vector(guess, size, f"the guess of {what}")
         if not np.all(np.isfinite(start)):
             raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
@@ -382,8 +382,8 @@ class Problem(ProblemData):
         for phase, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
             phase.time(
-                initial=_format_time_range_argument(begin),
-                final=_format_time_range_argument(end),
+                initial=_convert_interval_to_time_argument(begin),
+                final=_convert_interval_to_time_argument(end),
                 duration=(span.lower[0], span.upper[0]),
             )
             begin = end
@@ -588,7 +588,7 @@ class Problem(ProblemData):
         self.clear_cache()
 
 
-def _format_time_range_argument(interval: Interval) -> Any:
+def _convert_interval_to_time_argument(interval: Interval) -> Any:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower

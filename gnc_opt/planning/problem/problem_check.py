@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.errors import ProblemError, suggest_similar_name, warn_user
 from gnc_opt.model.model_variables import Variable
 from gnc_opt.numerical_tolerances import ACTIVE, ROUNDING
-from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, unbounded_interval
 from gnc_opt.planning.problem.differentiability_checks import (
     check_functions_finite_at_guess,
     check_guess_in_tables,
@@ -19,12 +19,12 @@ from gnc_opt.planning.problem.differentiability_checks import (
     warn_of_singular_norms,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
+from gnc_opt.planning.problem.interval_arithmetic import bound_function_values
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.problem.symbolic_expressions import (
-    build_phase_function,
+    build_function_along_phase,
     list_endpoint_arguments,
     stack_phase_expressions,
     substitute_parameters,
@@ -121,7 +121,7 @@ def _check_path_constraints_at_ends(problem: ProblemData, phase: Phase) -> None:
         ("initial", "final"), phase.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect_bounds(values, numbers.states), numbers.controls, p, q)
-        reached = compute_value_ranges(function, arguments)
+        reached = bound_function_values(function, arguments)
         for k in _find_infeasible_constraint_rows(reached, box):
             raise ProblemError(
                 f"path constraint '{phase.path_labels[k]}' cannot hold with the {end} values of {phase.label}: it is "
@@ -137,7 +137,7 @@ def _warn_of_duplicate_bounds(problem: ProblemData, phase: Phase) -> None:
     p = Interval(phase.model.parameter_values, phase.model.parameter_values)
     time = Interval(phase.time_ranges()[0].lower, phase.time_ranges()[1].upper)
     function = _build_path_constraint_function(problem, phase)
-    reached = compute_value_ranges(function, (time, numbers.states, numbers.controls, p, q))
+    reached = bound_function_values(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
         same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
@@ -159,7 +159,8 @@ def _find_infeasible_constraint_rows(reached: Interval, box: Interval) -> list[i
 
 def _build_path_constraint_function(problem: ProblemData, phase: Phase) -> Any:
     return phase.memoize(
-        "paths and parameters", lambda: build_phase_function(problem, phase, "paths", phase.path_expression())
+        "paths and parameters",
+        lambda: build_function_along_phase(problem, phase, "paths", phase.path_expression()),
     )
 
 
@@ -184,14 +185,14 @@ def _check_boundary_constraints(problem: ProblemData) -> None:
     for phase in legs:
         values, p = phase.numbers, phase.model.parameter_values
         ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
-        arguments += [*ends, *phase.time_ranges(), free_interval(len(phase.integrands)), Interval(p, p)]
+        arguments += [*ends, *phase.time_ranges(), unbounded_interval(len(phase.integrands)), Interval(p, p)]
 
     def build_constraint_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", list_endpoint_arguments(problem), [ca.densify(rows)])
 
     function = problem.memoize("constraints", build_constraint_function)
-    reached = compute_value_ranges(function, [*arguments, problem.get_parameter_bounds()])
+    reached = bound_function_values(function, [*arguments, problem.get_parameter_bounds()])
     for k in _find_infeasible_constraint_rows(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "

@@ -19,11 +19,11 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
+from gnc_opt.planning.problem.interval_arithmetic import bound_function_values
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseBoundsAndGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.symbolic_expressions import build_phase_function, stack_phase_expressions
+from gnc_opt.planning.problem.symbolic_expressions import build_function_along_phase, stack_phase_expressions
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
@@ -64,7 +64,7 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
             box = Interval(
                 *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
             )
-            rate = compute_value_ranges(rates, [time, box, *others])
+            rate = bound_function_values(rates, [time, box, *others])
             rising[rows] &= rate.lower == 0
             falling[rows] &= rate.upper == 0
             if np.array_equal(relaxed, rising | falling):
@@ -81,14 +81,14 @@ def _create_all_false_state_mask(phase: Phase) -> Mask:
 def _build_rates_of_controlled_states(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
     rates = phase.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, phase.model.symbols("control")).row(), dtype=int))
-    return rows, build_phase_function(problem, phase, "rates", rates[rows.tolist()])
+    return rows, build_function_along_phase(problem, phase, "rates", rates[rows.tolist()])
 
 
 def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
     idle = np.zeros((2, phase.model.states.size), dtype=bool)
     bounds = phase.numbers.states
-    for places in _group_vector_states(phase):
+    for places in _group_state_vector_components(phase):
         length = _compute_vector_norm_at_fixed_end(phase, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
         below, above = -bounds.lower[places], bounds.upper[places]
@@ -98,7 +98,7 @@ def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]
     return idle[0], idle[1]
 
 
-def _group_vector_states(phase: Phase) -> list[Indices]:
+def _group_state_vector_components(phase: Phase) -> list[Indices]:
     """Return the indices of state vectors; scalar states with equal symmetric bounds form a vector."""
     states, bounds = phase.model.states, phase.numbers.states
     found, alike = [], dict[float, list[int]]()
@@ -122,12 +122,14 @@ def _compute_vector_norm_at_fixed_end(phase: Phase, places: Indices) -> float:
 def _is_vector_norm_constant(problem: ProblemData, phase: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
-    def build_length_rate_function() -> Any:
+    def build_vector_norm_rate_function() -> Any:
         rows = places.tolist()
         products = phase.model.symbols("state")[rows] * phase.model.derivative()[rows]
-        return build_phase_function(problem, phase, "along_itself", products)
+        return build_function_along_phase(problem, phase, "along_itself", products)
 
-    terms = problem.memoize(("rate along itself", phase.name, places.tobytes()), build_length_rate_function)
+    terms = problem.memoize(
+        ("rate along itself", phase.name, places.tobytes()), build_vector_norm_rate_function
+    )
     random = np.random.default_rng(5)
     free = problem.get_parameter_bounds().lower.size
     for _ in range(8):
@@ -154,7 +156,10 @@ def find_nonimplied_bounds(problem: ProblemData, phase: Phase) -> Interval:
         squared = partial(find_sum_of_squares_variables, phase, constraint.expression)
         key = ("vector of length", phase.name, name, *phase.model.controls.names)
         found, constant = problem.memoize(key, squared)
-        length, rows = compute_fixed_vector_length(constraint.interval, constant), np.array(found, dtype=int)
+        length, rows = (
+            compute_vector_length_from_equality(constraint.interval, constant),
+            np.array(found, dtype=int),
+        )
         places = rows[rows >= phase.model.states.size] - phase.model.states.size
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
@@ -178,7 +183,7 @@ def find_sum_of_squares_variables(phase: Phase, expression: Any) -> tuple[list[i
     return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
 
 
-def compute_fixed_vector_length(square: Interval, constant: float) -> float:
+def compute_vector_length_from_equality(square: Interval, constant: float) -> float:
     """Return the length of which an equality has the square and a constant, without its rounding."""
     return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
 
@@ -227,7 +232,7 @@ def build_angle_invariance_test(problem: ProblemData, phase: Phase, *, of_states
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.memoize(
         ("along", phase.name),
-        lambda: build_phase_function(problem, phase, "along", stack_phase_expressions(phase)),
+        lambda: build_function_along_phase(problem, phase, "along", stack_phase_expressions(phase)),
     )
     values = phase.model.parameter_values
     if of_states:

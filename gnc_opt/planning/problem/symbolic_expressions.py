@@ -52,7 +52,7 @@ def stack_phase_expressions(phase: Phase) -> Any:
     return ca.vertcat(phase.model.derivative(), phase.path_expression(), phase.integrand_expression())
 
 
-def build_phase_function(problem: ProblemData, phase: Phase, name: str, column: Any) -> Any:
+def build_function_along_phase(problem: ProblemData, phase: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
     arguments = [*phase.model.arguments(), problem.parameter_symbols()]
     values = [ca.densify(problem.substitute_parameters(phase, column))]
@@ -84,7 +84,7 @@ def find_points_outside_tables(
         return []
     column = ca.vertcat(*(use.arguments for use in uses))
     function = problem.memoize(
-        ("table arguments", phase.name), lambda: build_phase_function(problem, phase, "tables", column)
+        ("table arguments", phase.name), lambda: build_function_along_phase(problem, phase, "tables", column)
     )
     arguments = evaluate_casadi_function(function, times, states, controls, p, q)
     return _find_values_outside_tables(uses, arguments, phase.name, times)

@@ -54,7 +54,7 @@ class Candidate:
         return self.solution.status.solved and self.history.final_iteration.solved
 
     @property
-    def largest_error(self) -> float:
+    def largest_local_error(self) -> float:
         """Largest local error; infinite without a solution."""
         return self.history.final_iteration.error if self.is_solved else math.inf
 
@@ -69,7 +69,7 @@ class Candidate:
         if not self.is_solved:
             return math.inf
         found = self.solution.objective_error
-        return found.absolute_error + self.largest_error**2 * found.scale
+        return found.absolute_error + self.largest_local_error**2 * found.scale
 
     @cached_property
     def integrated_hamiltonian_excess(self) -> float:
@@ -106,7 +106,7 @@ class Candidate:
 
     def is_objective_error_small(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
-        if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
+        if not self.largest_local_error <= LOCAL_ERROR_RATIO * tol:
             return False
         found = self.solution.objective_error
         if found.relative_error <= tol:
@@ -121,15 +121,17 @@ class Candidate:
         The loss of the minimum principle replaces the estimate if it is smaller.
         """
         if not self.is_solved:
-            return math.inf, self.largest_error
+            return math.inf, self.largest_local_error
         found, estimate = self.solution.objective_error, self.objective_error
         if estimate > tol * found.scale and self.integrated_hamiltonian_excess < found.suboptimality:
             estimate = (
-                found.infeasibility + self.integrated_hamiltonian_excess + self.largest_error**2 * found.scale
+                found.infeasibility
+                + self.integrated_hamiltonian_excess
+                + self.largest_local_error**2 * found.scale
             )
-        return max(estimate / found.scale, tol), self.largest_error
+        return max(estimate / found.scale, tol), self.largest_local_error
 
-    def costs_less_on_same_mesh(self, other: Candidate) -> bool:
+    def has_lower_cost_on_same_mesh(self, other: Candidate) -> bool:
         """Return whether the cost is lower than that of another solution on the same mesh, beyond rounding."""
         margin = SMALL * other.solution.objective_error.scale
         return self.is_solved and self.minimised_cost < other.minimised_cost - margin
@@ -142,7 +144,7 @@ class Candidate:
             max(c.objective_error, c.integrated_hamiltonian_excess) if c.is_solved else math.inf
             for c in (self, other)
         )
-        least = SMALL if other.is_verdict_ok and not self.is_verdict_ok else self.largest_error
+        least = SMALL if other.is_verdict_ok and not self.is_verdict_ok else self.largest_local_error
         least *= abs(other.minimised_cost)
         return self.minimised_cost + max(margin * ours, least) < other.minimised_cost - margin * theirs
 
@@ -159,13 +161,15 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     among = [k for k in solved if candidates[k].is_verdict_ok] or solved
     best = min(among, key=lambda k: candidates[k].get_ranking_errors(tol))
     for k in solved:
-        credible = candidates[k].largest_error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_error)
+        credible = candidates[k].largest_local_error <= max(
+            LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error
+        )
         if credible and candidates[k].has_lower_cost(candidates[best]):
             best = k
     return best
 
 
-def build_final_solution(
+def build_solution_of_best_candidate(
     candidates: Sequence[Candidate],
     ended: RefinementStatus | None,
     tol: float,
@@ -219,10 +223,10 @@ def _choose_refinement_status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.largest_error <= tol or best.is_objective_error_small(tol):
+        if best.largest_local_error <= tol or best.is_objective_error_small(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
-    if best.largest_error <= tol:
+    if best.largest_local_error <= tol:
         return RefinementStatus.CONVERGED if verdict.ok else RefinementStatus.CONDITIONS_FAIL
     if verdict.ok and best.solution.structure and best.history.converged:
         return RefinementStatus.STALLED
@@ -238,7 +242,7 @@ def _format_status_message(
     status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float
 ) -> str:
     """Return the message: local error, estimated error of the objective and failed conditions."""
-    error = best.largest_error
+    error = best.largest_local_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
         return f"{text}, optimality check passed"

@@ -26,7 +26,7 @@ from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, replace_tiny_divisor
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     compute_segment_defects,
-    evaluate_with_clipped_controls,
+    evaluate_function_with_clipped_controls,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.refinement_history import Actions, RefinementIteration
@@ -61,23 +61,29 @@ class PhaseError:
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
         f, phase, s = samples.functions, samples.leg, samples
         at = s.times, s.x, s.u_polynomial
-        integrands = evaluate_with_clipped_controls(f.integrands, *at, phase.control_bounds)
+        integrands = evaluate_function_with_clipped_controls(f.integrands, *at, phase.control_bounds)
         integral_scale = replace_tiny_divisors_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
-        gaps = np.abs(s.segment_integrals(integrands) - s.quadrature_integrals())
+        gaps = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
         box = phase.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
-        paths = evaluate_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
+        paths = evaluate_function_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
         path_scale = replace_tiny_divisors_by_one(
             np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
         )
         span = phase.duration
-        states = s.segment_maxima(_compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times))
+        states = s.compute_segment_maxima(
+            _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
+        )
         excess = phase.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
-        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
-        mean = s.segment_integrals(box.compute_bound_violation(paths) / path_scale[:, None]) / span
-        peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
-        mean[s.pure_state_paths] = peak[s.pure_state_paths]
-        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2
+        controls = np.maximum(
+            s.integrate_over_segments(excess) / span, SMALL * s.compute_segment_maxima(excess)
+        )
+        mean = s.integrate_over_segments(box.compute_bound_violation(paths) / path_scale[:, None]) / span
+        peak = s.compute_segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
+        mean[s.pure_state_constraints] = peak[s.pure_state_constraints]
+        costates = (
+            COSTATE_ERROR_WEIGHT * s.integrate_over_segments(compute_costate_residual(s, path_scale))
+        ) ** 2
         overshoot = np.concatenate([states, controls, mean])
         errors = compute_segment_defects(s), gaps / integral_scale[:, None], overshoot, costates
         return cls(s, *errors, integral_scale, path_scale)
@@ -88,19 +94,19 @@ class PhaseError:
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
-    def compute_required_error_decades(self, aim: float) -> Array:
+    def compute_required_error_reduction(self, aim: float) -> Array:
         """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
         table = np.log10(np.clip(self.segment_error_matrix, 1e-99, 1e6) / aim)
         table[-self.costates.shape[0] :] /= 2.0  # squared residuals
         return np.asarray(np.max(table, axis=0))
 
     @property
-    def largest_errors(self) -> Array:
+    def largest_segment_errors(self) -> Array:
         """Largest error of each segment, (K,)."""
         return np.asarray(np.max(self.segment_error_matrix, axis=0))
 
     @property
-    def worst_location(self) -> str:
+    def largest_error_location(self) -> str:
         """Location and kind of the largest error."""
         table, phase = self.segment_error_matrix, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
@@ -127,7 +133,7 @@ def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
 
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
-    phase, pure = samples.leg, samples.pure_state_paths
+    phase, pure = samples.leg, samples.pure_state_constraints
     on_states = np.abs(phase.state_multipliers) * samples.state_scale[:, None]
     on_paths = np.abs(phase.path_multipliers[pure]) * path_scale[pure, None]
     pushed = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
@@ -137,9 +143,9 @@ def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
-def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
-    worst = max(errors.values(), key=lambda e: float(np.max(e.largest_errors)))
-    return float(np.max(worst.largest_errors)), worst.worst_location
+def find_largest_collocation_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
+    worst = max(errors.values(), key=lambda e: float(np.max(e.largest_segment_errors)))
+    return float(np.max(worst.largest_segment_errors)), worst.largest_error_location
 
 
 def _compute_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
@@ -173,7 +179,7 @@ def record_iteration(
     solution: Solution, begin: float, actions: Actions | str, errors: Mapping[str, PhaseError] | None = None
 ) -> RefinementIteration:
     """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
-    error, where = find_largest_error(errors or estimate_segment_errors(solution))
+    error, where = find_largest_collocation_error(errors or estimate_segment_errors(solution))
     return RefinementIteration(
         meshes={name: phase.mesh for name, phase in solution.phases.items()},
         times={name: tuple(float(t) for t in phase.breaks) for name, phase in solution.phases.items()},

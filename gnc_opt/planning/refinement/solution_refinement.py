@@ -100,7 +100,7 @@ def run_refinement_stages(
         return stages.build_interrupted_result(solution)
     stages.problem = solution.need_problem("refine")
     if structure == "auto":
-        return stages.run_stages(solution)
+        return stages.refine_in_stages(solution)
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 

@@ -43,11 +43,8 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
-from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
-    Segments,
-    optimise_switching_times,
-)
-from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import Segments, optimise_switching_times
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -97,14 +94,14 @@ class StagedRefinement:
     _first: Candidate | None = None
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
 
-    def run_stages(self, first: Solution) -> Solution:
+    def refine_in_stages(self, first: Solution) -> Solution:
         """Run all stages from a solution on a first mesh and return the best solution."""
-        return self._run_until_termination(first, self._run_all_stages(first))
+        return self._run_stages_until_termination(first, self._iterate_refinement_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the result of hp refinement only, from a solution on a mesh."""
         self._record_candidate_solution(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return self._run_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
+        return self._run_stages_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the result of the switching-time formulation with the arcs of a solution."""
@@ -114,16 +111,20 @@ class StagedRefinement:
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._run_until_termination(first, self._solve_with_arcs(first, FIRST, found, share=1.0))
+        return self._run_stages_until_termination(
+            first, self._solve_with_arcs(first, FIRST, found, share=1.0)
+        )
 
     def build_interrupted_result(self, first: Solution) -> Solution:
         """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
-        return build_final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+        return build_solution_of_best_candidate(
+            [candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False
+        )
 
     # --- sequence of solves -------------------------------------------------------------------------------------
 
-    def _run_until_termination(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+    def _run_stages_until_termination(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
         ended: RefinementStatus | None = None
         try:
             for candidate in stages:
@@ -137,14 +138,18 @@ class StagedRefinement:
             ended = None
         elif not any(c.is_solved and c.solution is first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return build_final_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
+        return build_solution_of_best_candidate(
+            self.candidates, ended, self.tol, self.begin, self.check, self._first
+        )
 
     def _record_candidate_solution(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
         solved = [c for c in self.candidates if c.is_solved]
-        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_small(self.tol)]
+        accurate = [
+            c for c in solved if c.largest_local_error <= self.tol or c.is_objective_error_small(self.tol)
+        ]
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
-        self.budget.limit_remaining_work_to_completion(bool(lowest))
+        self.budget.limit_work_to_completing_solution(bool(lowest))
 
     def _classify_termination(self, candidate: Candidate) -> RefinementStatus | None:
         status = candidate.history.status
@@ -159,11 +164,11 @@ class StagedRefinement:
             return False
         if not self.check:
             return candidate.is_objective_error_small(self.tol) and not candidate.is_false_extremal
-        resolved = candidate.largest_error <= self.tol
+        resolved = candidate.largest_local_error <= self.tol
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
 
-    def _run_all_stages(self, first: Solution) -> Iterator[Candidate]:
+    def _iterate_refinement_stages(self, first: Solution) -> Iterator[Candidate]:
         yield from self._refine_first_mesh(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
@@ -172,19 +177,19 @@ class StagedRefinement:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                if other.costs_less_on_same_mesh(self._get_candidate_by_solution(first)):
+                if other.has_lower_cost_on_same_mesh(self._get_candidate_by_solution(first)):
                     first = other.solution
                     yield from self._refine_first_mesh(first, stage)
         middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
             yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
-        fine = self._solve_candidate(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
+        fine = self._solve_candidate_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
             again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
-                fine = again if again.costs_less_on_same_mesh(fine) else fine
+                fine = again if again.has_lower_cost_on_same_mesh(fine) else fine
             yield from self._solve_with_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
@@ -204,14 +209,16 @@ class StagedRefinement:
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
-        found = self._solve_candidate(MIDDLE, meshes, first)
+        found = self._solve_candidate_on_mesh(MIDDLE, meshes, first)
         yield found
         simulated = with_simulated_guess(self.problem)
         if simulated is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve_candidate(f"{MIDDLE}, integrated guess", meshes, None, simulated, most)
+            second = self._solve_candidate_on_mesh(
+                f"{MIDDLE}, integrated guess", meshes, None, simulated, most
+            )
             yield second
-            if second.is_solved and (not found.is_solved or second.costs_less_on_same_mesh(found)):
+            if second.is_solved and (not found.is_solved or second.has_lower_cost_on_same_mesh(found)):
                 found = second
         return found.solution if found.is_solved else first
 
@@ -222,7 +229,7 @@ class StagedRefinement:
         found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
         yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
-            if not found.largest_error <= self.tol or not found.is_nearly_optimal:
+            if not found.largest_local_error <= self.tol or not found.is_nearly_optimal:
                 return
             finer = yield from self._refine_mesh_by_hp(found.solution, 1.0, HP, share * self.tol)
             if not finer.objective_error <= 0.5 * found.objective_error:
@@ -240,7 +247,7 @@ class StagedRefinement:
         uniform = Mesh.uniform(each, STAGE_DEGREE)
         return {name: max(uniform, phase.mesh, key=lambda m: m.size) for name, phase in like.phases.items()}
 
-    def _solve_candidate(
+    def _solve_candidate_on_mesh(
         self,
         stage: str,
         meshes: Mapping[str, Mesh],
@@ -258,7 +265,7 @@ class StagedRefinement:
             scheme=like.scheme,
             guess=guess,
             options=options or self.options,
-            budget=self.budget.allot_share_of_total_work(
+            budget=self.budget.allot_work_budget_share(
                 max_iterations=iterations, warm_iterations=0 if trajectory_only else None
             ),
             progress=self.progress,
@@ -274,7 +281,7 @@ class StagedRefinement:
             return None
         meshes = {name: phase.mesh for name, phase in start.phases.items()}
         guess = guess_by_minimum_hamiltonian(start)
-        return self._solve_candidate(
+        return self._solve_candidate_on_mesh(
             stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True
         )
 
@@ -288,7 +295,7 @@ class StagedRefinement:
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: phase.mesh for name, phase in start.phases.items()}
         most = WARM_MAX_ITERATIONS + start.statistics.iterations
-        return self._solve_candidate(stage, meshes, None, iterations=most, options=other)
+        return self._solve_candidate_on_mesh(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh_by_hp(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
@@ -296,7 +303,7 @@ class StagedRefinement:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            budget=self.budget.allot_share_of_total_work(share),
+            budget=self.budget.allot_work_budget_share(share),
             options=self.options,
             progress=self.progress,
         )
@@ -316,12 +323,12 @@ class StagedRefinement:
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
         found = found or detect_arc_structures(start)
-        if not self._is_arc_solve_promising(start, found) and share < 1.0:
+        if not self._should_solve_with_detected_arcs(start, found) and share < 1.0:
             return
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
-            budget=self.budget.allot_share_of_total_work(share),
+            budget=self.budget.allot_work_budget_share(share),
             structures=found,
             options=self.options,
             progress=self.progress,
@@ -330,7 +337,7 @@ class StagedRefinement:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _is_arc_solve_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    def _should_solve_with_detected_arcs(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
         if not _may_have_switches_or_kinks(start, found, at_least=1):
             return False

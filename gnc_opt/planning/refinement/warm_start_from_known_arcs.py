@@ -25,7 +25,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
@@ -85,7 +85,7 @@ class KnownSwitches:
         """Return the solution of a modified problem with its own switching times; None if that fails."""
         start = truncate_solution_to_start_time(self.solution, problem)
         (phase,) = start.phases.values()
-        left = self.structure.truncate_before(phase.initial_time)
+        left = self.structure.truncate_arcs_before(phase.initial_time)
         step = self.step if left.n_subarcs == self.structure.n_subarcs else None
         begun = _shift_trajectory_to_initial_states(
             recompute_stored_data(replace(start, problem=problem.frozen()))
@@ -173,14 +173,14 @@ class KnownArcs:
         candidate = Candidate(*found, "nearby")
         if candidate.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        check = check or not self._has_known_structure(candidate)
+        check = check or not self._has_arcs_of_known_solution(candidate)
         if not candidate.history.converged or (check and not candidate.verdict.ok):
             return None
-        return build_final_solution([candidate], None, tol, begin, check)
+        return build_solution_of_best_candidate([candidate], None, tol, begin, check)
 
     def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         begins = {name: phase.initial_time for name, phase in start.phases.items()}
-        left = {name: s.truncate_before(begins[name]) for name, s in self.structures.items()}
+        left = {name: s.truncate_arcs_before(begins[name]) for name, s in self.structures.items()}
         return optimise_switching_times(
             start,
             tol=tol,
@@ -194,7 +194,7 @@ class KnownArcs:
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
         budget = self._create_warm_start_budget()
-        first = budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS)
+        first = budget.allot_work_budget_share(warm_iterations=WARM_MAX_ITERATIONS)
         found = solve_problem_on_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -202,7 +202,7 @@ class KnownArcs:
             return None
         return refine_mesh(found, tol=tol, budget=budget)
 
-    def _has_known_structure(self, found: Candidate) -> bool:
+    def _has_arcs_of_known_solution(self, found: Candidate) -> bool:
         """Return whether a solution has the arcs of the known one, or the same mesh."""
         known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]

@@ -76,7 +76,10 @@ def _find_violated_constraint_rows(
     amounts = np.concatenate(
         [scaled_rows.compute_bound_violation(result.g), scaled_box.compute_bound_violation(result.x)]
     )
-    labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
+    labels = (
+        *transcription.constraint_row_labels,
+        *(f"bound of {label}" for label in transcription.variable_labels),
+    )
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 

@@ -57,7 +57,7 @@ def correct_constraint_arc_costates(
         return phase
     start, end, values = phase.lam_start.copy(), phase.lam_end.copy(), [v.copy() for v in phase.lam.values]
     signals = phase.x, phase.u, phase.interpolate_point_values(phase.point_costates)
-    x, u, continued = (signal.evaluate_in_segments([-1.0, 1.0]) for signal in signals)
+    x, u, continued = (signal.evaluate_at_normalised_times([-1.0, 1.0]) for signal in signals)
     for k in np.flatnonzero(np.any(at_limit, axis=0)):
         for i, ends in enumerate((start, end)):
             gradients = functions.path_state_jacobian(phase.breaks[k + i], x[:, k, i], u[:, k, i])
@@ -98,7 +98,7 @@ class NlpIterate:
     lam_g: Array
 
 
-def compute_point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
+def compute_costates_at_collocation_points(collocation: PhaseCollocation, lam_g: Array) -> Array:
     """Return the costates at the collocation points (n_states, N): m_j / omega_j."""
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
@@ -113,8 +113,8 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
-        wanted = -costates[:, _get_segment_points(collocation, k)] * rule.weights
-        if collocation.family.has_dynamics_row_at_end:
+        wanted = -costates[:, _get_segment_point_slice(collocation, k)] * rule.weights
+        if collocation.family.has_dynamics_row_at_segment_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
             matrix = collocation.build_dynamics_rate_matrix(k)
@@ -186,7 +186,7 @@ class PhaseCostates:
         constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
-        lam = compute_point_costates(collocation, lam_g)
+        lam = compute_costates_at_collocation_points(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
         densities = np.where(shared, 0.0, multipliers)
@@ -203,7 +203,7 @@ class PhaseCostates:
         found = cls(
             collocation, weights, lam, start, end, densities, impulses, pull, held, still, pushed, bounded
         )
-        if collocation.family.has_dynamics_row_at_end:
+        if collocation.family.has_dynamics_row_at_segment_end:
             found.extrapolate_costates_along_bounds()
         else:
             found.split_boundary_multipliers()
@@ -213,18 +213,20 @@ class PhaseCostates:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _get_segment_points(collocation, k)
-            self._split_boundary_rows(k, k, here.start, self.start, 1.0)
+            here = _get_segment_point_slice(collocation, k)
+            self._split_multiplier_density_and_impulse(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
-                self._split_boundary_rows(k, k + 1, here.stop - 1, self.end, -1.0)
+                self._split_multiplier_density_and_impulse(k, k + 1, here.stop - 1, self.end, -1.0)
 
-    def _split_boundary_rows(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+    def _split_multiplier_density_and_impulse(
+        self, k: int, boundary: int, point: int, side: Array, sign: float
+    ) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
             bounded = self.still[:, k] & np.any(
-                self.bounded[:, _get_segment_points(self.collocation, k)], axis=1
+                self.bounded[:, _get_segment_point_slice(self.collocation, k)], axis=1
             )
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
@@ -236,7 +238,7 @@ class PhaseCostates:
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.collocation_rules):
-            here = _get_segment_points(self.collocation, k)
+            here = _get_segment_point_slice(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ build_lagrange_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
@@ -257,8 +259,8 @@ class PhaseCostates:
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
-            here = _get_segment_points(collocation, k)
-            if collocation.family.has_dynamics_row_at_end:
+            here = _get_segment_point_slice(collocation, k)
+            if collocation.family.has_dynamics_row_at_segment_end:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
                 continue
@@ -273,7 +275,7 @@ class PhaseCostates:
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def _get_segment_points(collocation: PhaseCollocation, k: int) -> slice:
+def _get_segment_point_slice(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
@@ -285,7 +287,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        points = _get_segment_points(collocation, k)
+        points = _get_segment_point_slice(collocation, k)
         inside, here = ~shared[:, points], pushed[:, points]
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)

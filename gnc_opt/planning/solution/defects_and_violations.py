@@ -224,7 +224,9 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         left, right = (
             samples.times[_find_neighbouring_samples(samples, j[hidden], step)] for step in (-1, 1)
         )
-        peaks, heights = _locate_excess_peaks(samples, limits.select_limits(k[hidden]), signal, left, right)
+        peaks, heights = _locate_limit_violation_peaks(
+            samples, limits.select_limits(k[hidden]), signal, left, right
+        )
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
@@ -258,7 +260,7 @@ def _find_sample_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, I
     return k, j, np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
 
 
-def _locate_excess_peaks(
+def _locate_limit_violation_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
@@ -277,7 +279,7 @@ def _locate_excess_peaks(
     return times, best
 
 
-def evaluate_with_clipped_controls(
+def evaluate_function_with_clipped_controls(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
     """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
@@ -302,7 +304,7 @@ class Worst:
         return self if np.isnan(self.value) or other.value <= self.value else other
 
     @classmethod
-    def locate_largest(cls, values: Array, describe: Callable[..., str]) -> Worst:
+    def locate_largest_value(cls, values: Array, describe: Callable[..., str]) -> Worst:
         """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
         if not values.size:
             return NOTHING
@@ -315,7 +317,7 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    rates = evaluate_with_clipped_controls(
+    rates = evaluate_function_with_clipped_controls(
         s.functions.state_rates, s.times_inside_segments, s.x, u, s.leg.control_bounds
     )
     return np.asarray(s.x_rate - rates)
@@ -324,14 +326,14 @@ def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
 def compute_segment_defects(samples: PhaseSamples) -> Array:
     """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
     phase, inner = samples.leg, samples.leg.breaks[1:-1]
-    errors = samples.segment_integrals(np.abs(compute_dynamics_residual(samples, samples.u_polynomial)))
+    errors = samples.integrate_over_segments(np.abs(compute_dynamics_residual(samples, samples.u_polynomial)))
     errors[:, :-1] += np.abs(phase.x(inner, "right") - phase.x(inner, "left"))
     return errors / samples.state_scale[:, None]
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
     labels = samples.leg.states.labels
-    return Worst.locate_largest(
+    return Worst.locate_largest_value(
         compute_segment_defects(samples), lambda i, k: samples.describe_segment(k, labels[i])
     )
 

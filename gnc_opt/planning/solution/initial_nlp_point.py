@@ -85,7 +85,7 @@ def build_nlp_point_from_solution(
     for name, part in transcription.parts.items():
         phase = problem.phases[name]
         old = _get_matching_guess_phase(guess, phase)
-        _transfer_phase_variables(transcription, part, old, x, lam_x, lam_g)
+        _copy_phase_guess_to_nlp_point(transcription, part, old, x, lam_x, lam_g)
     _copy_free_parameters_from_guess(transcription, problem, guess, x, lam_x)
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
@@ -119,7 +119,7 @@ def _get_matching_guess_phase(guess: Solution, phase: Phase) -> PhaseSolution:
     return old
 
 
-def _transfer_phase_variables(
+def _copy_phase_guess_to_nlp_point(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation

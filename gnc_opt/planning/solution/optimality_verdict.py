@@ -237,7 +237,7 @@ class Verdict:
     def table(self) -> str:
         """Return all conditions, one per line: name, result, value, location of the largest violation."""
         rows = [(c.name, c, c.location_text) for c in self.conditions]
-        return "\n".join([*_format_condition_rows("condition", rows), f"verdict: {self.outcome}"])
+        return "\n".join([*_format_condition_table("condition", rows), f"verdict: {self.outcome}"])
 
     def __str__(self) -> str:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
@@ -248,10 +248,10 @@ class Verdict:
         ]
         also = ", ".join(c.name for c in left if c not in failing)
         lines += [f"also: {also}"] * bool(also)
-        worst = {group: find_worst_condition(found) for group, found in groups.items()}
+        worst = {group: find_worst_optimality_condition(found) for group, found in groups.items()}
         places = [replace(c, where=c.where.partition(";")[0]).location_text for c in worst.values()]
         rows = [(g, c, f"{c.name}: {place}") for (g, c), place in zip(worst.items(), places, strict=True)]
-        return "\n".join([*lines, *_format_condition_rows("group", rows), f"verdict: {self.outcome}"])
+        return "\n".join([*lines, *_format_condition_table("group", rows), f"verdict: {self.outcome}"])
 
     @property
     def condition_groups(self) -> dict[str, list[Condition]]:
@@ -282,7 +282,7 @@ class Verdict:
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
 
 
-def find_worst_condition(conditions: Iterable[Condition]) -> Condition:
+def find_worst_optimality_condition(conditions: Iterable[Condition]) -> Condition:
     """Return the failed, or else inconclusive, condition with the largest nonzero value."""
 
     def rank_condition_severity(condition: Condition) -> tuple[int, bool, float]:
@@ -299,7 +299,7 @@ def format_violation(value: float) -> str:
     return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
 
 
-def _format_condition_rows(title: str, rows: list[tuple[str, Condition, str]]) -> list[str]:
+def _format_condition_table(title: str, rows: list[tuple[str, Condition, str]]) -> list[str]:
     cells = [(title, "result", "violation", "largest at")]
     cells += [(name, c.result.value, format_violation(c.value), place) for name, c, place in rows]
     width, wide = (max(len(row[i]) for row in cells) for i in (0, 2))

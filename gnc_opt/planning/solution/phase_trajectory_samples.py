@@ -59,8 +59,8 @@ class PhaseSamples:
     """Data of the optimality conditions at the times of a fine quadrature in every segment, including segment ends.
 
     ``times`` (n_samples,) ascend; segment boundaries appear twice, as end and start of adjacent ``segments``. The
-    quadrature ``weights`` are in s, zero at segment ends. ``cost_magnitude`` (`EndPoints.compute_largest_changes`) is 0
-    if unknown; ``feature_edges`` are edges of additional cells (s).
+    quadrature ``weights`` are in s, zero at segment ends. ``cost_magnitude`` is 0 if unknown (see
+    `EndPoints.compute_largest_endpoint_changes`); ``feature_edges`` are edges of additional cells (s).
     """
 
     leg: PhaseSolution
@@ -273,7 +273,7 @@ class PhaseSamples:
         return self.functions.switching_functions(self.times, self.x, self.u, np.zeros_like(self.lam))
 
     @cached_property
-    def _hamiltonian_changes(self) -> Array:
+    def _hamiltonian_changes_per_control(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
         by_slope = _compute_largest_finite_value(slopes * amplitude)
@@ -287,12 +287,12 @@ class PhaseSamples:
         It is determined from the slope of the integrands or of the costate terms, which cancel at a minimum, or from
         the curvature of H. Constant states, and drift without controls, are excluded.
         """
-        return max(float(np.sum(self._hamiltonian_changes)), self.hamiltonian_rounding_level)
+        return max(float(np.sum(self._hamiltonian_changes_per_control)), self.hamiltonian_rounding_level)
 
     @property
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
-        changes = take_largest_component(self._hamiltonian_changes, self.leg.controls)
+        changes = take_largest_component(self._hamiltonian_changes_per_control, self.leg.controls)
         return np.maximum(changes, NOTABLE * self.max_hamiltonian_change)
 
     @property
@@ -305,7 +305,7 @@ class PhaseSamples:
     @cached_property
     def control_scale(self) -> Array:
         """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
-        span, reach = self.leg.control_bounds.width_or_zero, np.max(np.abs(self.u), axis=1)
+        span, reach = self.leg.control_bounds.finite_width_or_zero, np.max(np.abs(self.u), axis=1)
         return np.where(span > 0, span, replace_tiny_divisors_by_one(reach))
 
     @cached_property
@@ -362,12 +362,12 @@ class PhaseSamples:
         return bool(least > 0 or phase.duration > max(near, SHORTEST))
 
     @cached_property
-    def pure_state_paths(self) -> Indices:
+    def pure_state_constraints(self) -> Indices:
         """Path constraints that do not depend on controls."""
         return np.flatnonzero(~self.functions.mixed_path_constraints)
 
     @cached_property
-    def path_variations(self) -> Array:
+    def path_constraint_variations(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
         by_state, by_control = (
@@ -382,7 +382,7 @@ class PhaseSamples:
     def path_scale(self) -> Array:
         """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
         values = self.functions.path_constraints(self.times, self.x, self.u)
-        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_variations)
+        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_constraint_variations)
         size = np.max(np.abs(values), axis=1)
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
@@ -408,7 +408,7 @@ class PhaseSamples:
         """First sample of each segment (K,)."""
         return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
 
-    def segment_integrals(self, values: Array) -> Array:
+    def integrate_over_segments(self, values: Array) -> Array:
         """Return the integrals of values (..., n_samples) over each segment (..., K); values at its ends may be NaN."""
         parts = np.where(self.weights > 0, values, 0.0) * self.weights
         return np.asarray(np.add.reduceat(parts, self.segment_starts, axis=-1))
@@ -419,13 +419,13 @@ class PhaseSamples:
         values = self.functions.integrands(*phase.point_trajectory) * phase.point_weights
         return np.asarray(np.add.reduceat(values, phase.mesh.point_offsets[:-1], axis=1))
 
-    def running_integrals(self, values: Array) -> Array:
+    def cumulative_integrals(self, values: Array) -> Array:
         """Return the integrals of values (n, n_samples) from the start of the segment to each sample (n, n_samples)."""
         parts = values * self.weights
         running = np.cumsum(parts, axis=1)
         return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
 
-    def segment_maxima(self, values: Array) -> Array:
+    def compute_segment_maxima(self, values: Array) -> Array:
         """Return the largest values (..., n_samples) of each segment (..., K)."""
         return np.asarray(np.maximum.reduceat(values, self.segment_starts, axis=-1))
 

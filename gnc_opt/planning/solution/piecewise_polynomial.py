@@ -68,16 +68,16 @@ class PiecewisePolynomial:
         times = self._clamp_times(np.atleast_1d(read_float_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
-        for group, here, places, basis in build(*self._grid, times.tobytes(), side):
+        for group, here, places, basis in build(*self._breaks_and_nodes, times.tobytes(), side):
             values = self._values_by_node_group[group][:, :, places]
             result[:, here] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
 
-    def evaluate_in_segments(self, tau: ArrayLike) -> Array:
+    def evaluate_at_normalised_times(self, tau: ArrayLike) -> Array:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_float_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        groups = zip(_group_equal_nodes(self._grid[1]), self._values_by_node_group, strict=True)
+        groups = zip(_group_equal_nodes(self._breaks_and_nodes[1]), self._values_by_node_group, strict=True)
         for (nodes, weights, places), values in groups:
             basis = interpolate_barycentric(nodes, weights, at)
             result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
@@ -111,14 +111,16 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _grid(self) -> tuple[bytes, tuple[bytes, ...]]:
+    def _breaks_and_nodes(self) -> tuple[bytes, tuple[bytes, ...]]:
         """Breaks and nodes, shared by the signals of a solution."""
         return self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes)
 
     @cached_property
     def _values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
-        groups = [np.flatnonzero(places >= 0) for _, _, places in _group_equal_nodes(self._grid[1])]
+        groups = [
+            np.flatnonzero(places >= 0) for _, _, places in _group_equal_nodes(self._breaks_and_nodes[1])
+        ]
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
 
@@ -208,7 +210,7 @@ class SaturatedControl:
     @cached_property
     def is_piecewise_constant(self) -> Mask:
         """Whether each channel is piecewise constant in each segment, shape (m, K): beyond bounds by `AT_LIMIT`."""
-        values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
+        values = self.polynomial.evaluate_at_normalised_times(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
         slack = AT_LIMIT * _compute_control_bound_widths(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]

@@ -246,10 +246,10 @@ class Solution(PrintableResult):
 
     def samples(self) -> dict[str, PhaseSamples]:
         """Return dense samples of every phase, from model and trajectory; needs the problem."""
-        return dict(self._samples)
+        return dict(self._cached_phase_samples)
 
     @cached_property
-    def _samples(self) -> dict[str, PhaseSamples]:
+    def _cached_phase_samples(self) -> dict[str, PhaseSamples]:
         """Cached samples; refinement evaluates derived quantities repeatedly."""
         return {
             name: PhaseSamples.from_phase(phase, self.phase_functions(name))
@@ -279,7 +279,7 @@ class Solution(PrintableResult):
         found: list[OutsideTable] = []
         for name, phase in problem.phases.items():
             if list_table_calls(problem, phase):
-                s = self._samples[name]
+                s = self._cached_phase_samples[name]
                 numbers = s.leg.parameters, self.parameter_values
                 found += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *numbers)
         ends = [value for phase in self.phases.values() for value in phase.endpoint_arguments]

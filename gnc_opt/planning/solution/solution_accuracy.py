@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     compute_dynamics_residual,
-    evaluate_with_clipped_controls,
+    evaluate_function_with_clipped_controls,
     find_worst_defect,
     integrate_states_to_times,
 )
@@ -85,10 +85,12 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
 def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     phase, at, weights = s.leg, (s.times_inside_segments, s.x, s.u_polynomial), s.functions.weights
-    total = -s.segment_integrals(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
+    total = -s.integrate_over_segments(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
-        integrands = evaluate_with_clipped_controls(s.functions.integrands, *at, phase.control_bounds)
-        total = total + s.segment_integrals(weights @ integrands) - weights @ s.quadrature_integrals()
+        integrands = evaluate_function_with_clipped_controls(
+            s.functions.integrands, *at, phase.control_bounds
+        )
+        total = total + s.integrate_over_segments(weights @ integrands) - weights @ s.quadrature_integrals()
     inner = phase.breaks[1:-1]
     jumps = phase.x(inner, "left") - phase.x(inner, "right")
     total[:-1] += np.sum(phase.lam(inner, "left") * jumps, axis=0)
@@ -100,7 +102,7 @@ def _compute_cost_of_constraint_violations(s: PhaseSamples) -> Array:
     phase = s.leg
     of_states = _weight_violations_by_multipliers(s, s.x, phase.state_bounds, s.state_multiplier)
     at = s.times_inside_segments, s.x, s.u_polynomial
-    paths = evaluate_with_clipped_controls(s.functions.path_constraints, *at, phase.control_bounds)
+    paths = evaluate_function_with_clipped_controls(s.functions.path_constraints, *at, phase.control_bounds)
     return of_states + _weight_violations_by_multipliers(s, paths, phase.path_bounds, s.mu)
 
 
@@ -115,7 +117,7 @@ def _weight_violations_by_multipliers(
     priced += np.maximum(-multipliers, 0.0) * np.maximum(bounds.lower[:, None] - values, 0.0)
     equations = bounds.is_fixed
     priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
-    return np.asarray(np.sum(np.abs(s.segment_integrals(priced)), axis=0))
+    return np.asarray(np.sum(np.abs(s.integrate_over_segments(priced)), axis=0))
 
 
 def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
@@ -133,21 +135,23 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    gains = _maximise_quadratic_decrease(slope, curvature, lower, upper)
-    net = s.segment_integrals(np.sum(gains, axis=0))
-    positive = s.segment_integrals(np.sum(np.maximum(gains, 0.0), axis=0))
+    gains = _maximise_bounded_quadratic(slope, curvature, lower, upper)
+    net = s.integrate_over_segments(np.sum(gains, axis=0))
+    positive = s.integrate_over_segments(np.sum(np.maximum(gains, 0.0), axis=0))
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
 
 
-def _maximise_quadratic_decrease(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+def _maximise_bounded_quadratic(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return the maximum of -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
-    def compute_decrease(step: Array) -> Array:
+    def compute_quadratic_decrease(step: Array) -> Array:
         return np.asarray(-(slope + 0.5 * curvature * step) * step)
 
     newton = np.divide(-slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
-    inside = np.where(curvature > 0, compute_decrease(np.clip(newton, lower, upper)), -np.inf)
-    return np.asarray(np.maximum(inside, np.maximum(compute_decrease(lower), compute_decrease(upper))))
+    inside = np.where(curvature > 0, compute_quadratic_decrease(np.clip(newton, lower, upper)), -np.inf)
+    return np.asarray(
+        np.maximum(inside, np.maximum(compute_quadratic_decrease(lower), compute_quadratic_decrease(upper)))
+    )
 
 
 POINTS_PER_PIECE = 12
@@ -221,7 +225,7 @@ def measure_solution_accuracy(
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
-        phase, pieces = s.leg, _sample_control_pieces(s)
+        phase, pieces = s.leg, _sample_between_control_jumps(s)
         labels = [
             f"{n} ({u})" if u else n for n, u in zip(phase.states.labels, phase.states.units, strict=True)
         ]
@@ -249,7 +253,7 @@ def _find_largest_state_error_at_end(
     return float(error[i] / s.state_scale[i]), float(error[i]), f"phase {phase.name}, {labels[i]}"
 
 
-def _sample_control_pieces(s: PhaseSamples) -> Array:
+def _sample_between_control_jumps(s: PhaseSamples) -> Array:
     """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
     edges = s.leg.applied.jump_times
     times = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]

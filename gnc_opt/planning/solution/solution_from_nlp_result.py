@@ -22,7 +22,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
     PhaseCostates,
-    compute_point_costates,
+    compute_costates_at_collocation_points,
     correct_constraint_arc_costates,
     split_duplicate_multipliers,
 )
@@ -44,7 +44,9 @@ def read_phase_parameters(problem: Problem, phase: Phase, q: Array) -> Array:
     return p
 
 
-def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
+def bind_free_parameter_values(
+    problem: Problem, name: str, q: Array, weights: Array | None = None
+) -> PhaseFunctions:
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     phase = problem.phases[name]
     weights = np.zeros(len(phase.integrands)) if weights is None else weights
@@ -86,7 +88,7 @@ def build_phase_solutions(
         anchors = extended[part.times]
         times, spans = _compute_collocation_times(collocation, anchors)
         x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-        integrands = bind_parameters(problem, name, q).integrands(times, x, u)
+        integrands = bind_free_parameter_values(problem, name, q).integrands(times, x, u)
         integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
         p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
@@ -105,7 +107,7 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     found = variables.copy()
     for name, part in transcription.parts.items():
         phase, collocation = problem.phases[name], part.collocation
-        functions = bind_parameters(problem, name, q)
+        functions = bind_free_parameter_values(problem, name, q)
         times, _ = _compute_collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         found[collocation.point_controls] = unwrap_angles(functions, phase.numbers.controls, times, x, u)
@@ -174,9 +176,9 @@ def _build_phase_solution(
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])[part.times]
     times, spans = _compute_collocation_times(collocation, anchors)
-    functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
+    functions = bind_free_parameter_values(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-    lam = compute_point_costates(collocation, iterate.lam_g)
+    lam = compute_costates_at_collocation_points(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = functions.mixed_path_constraints
@@ -239,7 +241,7 @@ def build_state_polynomial(
     nodes, values = [], []
     for k, rule in enumerate(collocation.collocation_rules):
         states = variables[collocation.index_segment_states(k)]
-        if collocation.family.has_dynamics_row_at_end:
+        if collocation.family.has_dynamics_row_at_segment_end:
             states = states[:, :-1]
         if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]

@@ -81,7 +81,7 @@ def summary(solution: SolutionLike) -> str:
     return "\n".join([_format_summary_headline(solution), *lines])
 
 
-def find_available_accuracy(solution: SolutionLike) -> Accuracy | None:
+def get_available_solution_accuracy(solution: SolutionLike) -> Accuracy | None:
     """Return the accuracy, computed or stored in the file; None if neither is possible."""
     known: Accuracy | None = None
     if solution.problem is not None or "accuracy" in vars(solution):
@@ -114,7 +114,7 @@ def format_objective(solution: SolutionLike) -> str:
     """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
     unit = "" if solution.problem is None else solution.problem.cost_unit
     value = f"{solution.objective:.10g} {unit}".rstrip()
-    accuracy = find_available_accuracy(solution) if solution.status.solved else None
+    accuracy = get_available_solution_accuracy(solution) if solution.status.solved else None
     return value if accuracy is None else f"{value} ± {accuracy.objective_error:.1g}"
 
 
@@ -170,7 +170,7 @@ def _summarise_optimality(solution: SolutionLike) -> Iterator[tuple[str, str]]:
 
 def _summarise_accuracy(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the accuracy, without the problem the stored one; the defect too if no check shows it."""
-    accuracy = find_available_accuracy(solution)
+    accuracy = get_available_solution_accuracy(solution)
     if accuracy is None:
         yield "accuracy", "unknown: load the solution with its problem"
         return

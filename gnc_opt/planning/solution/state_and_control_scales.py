@@ -93,7 +93,9 @@ def compute_state_scales(
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
-    return _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes), size, np.ones(size.size))
+    return _replace_zero_scales_by_fallbacks(
+        spans, *(box.finite_width_or_zero for box in boxes), size, np.ones(size.size)
+    )
 
 
 def compute_control_scales(
@@ -106,7 +108,7 @@ def compute_control_scales(
     (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a range
     the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
-    extent, size = phase.control_bounds.width_or_zero, np.max(np.abs(applied), axis=1)
+    extent, size = phase.control_bounds.finite_width_or_zero, np.max(np.abs(applied), axis=1)
     moved = np.ptp(applied, axis=1) if applied.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
@@ -124,7 +126,7 @@ def compute_control_scales(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = take_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
-    return _replace_zeros_by_fallbacks(
+    return _replace_zero_scales_by_fallbacks(
         np.where(spans > ROUNDING, spans, extent), replace_tiny_divisors_by_one(size)
     )
 
@@ -134,7 +136,7 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
     middles, values = compute_interval_midpoints(phase.breaks), phase.x(phase.sample_times())
     moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[:, None]
     x, u = phase.x(middles), phase.applied(middles)
-    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
     lasts = phase.breaks[-1] - phase.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
@@ -159,7 +161,7 @@ def _estimate_controllable_state_changes(
     middles = compute_interval_midpoints(phase.breaks)
     x, u = phase.x(middles), phase.applied(middles)
     # median, not sensitive to short peaks
-    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = phase.breaks[-1] - phase.breaks[0]
@@ -188,7 +190,7 @@ def take_largest_component(values: Array, layout: Layout) -> Array:
     return values
 
 
-def _replace_zeros_by_fallbacks(values: Array, *others: Array) -> Array:
+def _replace_zero_scales_by_fallbacks(values: Array, *others: Array) -> Array:
     for other in others:
         values = np.where(values > 0, values, other)
     return values

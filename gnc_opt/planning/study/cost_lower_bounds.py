@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxations
+from gnc_opt.planning.study.problem_relaxation import Relaxation, list_problem_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -81,7 +81,9 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     if theorem:
         best: LowerBound | None = LowerBound(solution.objective, _list_state_labels(problem), theorem)
     else:
-        found = (_solve_relaxation(relaxation, solution, tol) for relaxation in find_relaxations(problem))
+        found = (
+            _solve_relaxation(relaxation, solution, tol) for relaxation in list_problem_relaxations(problem)
+        )
         known = [bound for bound in found if bound is not None]
         best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
     return replace(solution, bound=best).with_verdict(verdict)
@@ -219,14 +221,14 @@ def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
         free = ~box.is_fixed
         held = np.where(box.is_fixed, box.lower, start)
 
-        def compute_free_control_residuals(values: Array, held: Array = held, free: Any = free) -> Array:
+        def compute_equilibrium_residuals(values: Array, held: Array = held, free: Any = free) -> Array:
             control = held.copy()
             control[free] = values
             return compute_rate_residuals(control)
 
         begin = np.clip(held[free], inner[1][free], inner[0][free])
         found = scipy.optimize.least_squares(
-            compute_free_control_residuals, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
+            compute_equilibrium_residuals, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
         )
         if np.all(np.abs(found.fun) <= EQUAL):
             return True

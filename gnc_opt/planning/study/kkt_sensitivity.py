@@ -85,7 +85,7 @@ def predict_solution(
     """
     problem = reformulate_problem(problem)
     transcription, start = _transcribe_solution(problem, last)
-    change = _predict_variable_change(problem, last)
+    change = _predict_nlp_variable_change(problem, last)
     if change is None and before is not None:
         earlier = choose_initial_nlp_point(transcription, problem, before).x
         change = ratio * (start.x - earlier)
@@ -105,7 +105,7 @@ def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcri
     return transcription, choose_initial_nlp_point(transcription, problem, solution)
 
 
-def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
+def _predict_nlp_variable_change(problem: Problem, last: Solution) -> Array | None:
     """Return the first-order change of the variables (n_variables,), or None if it is unknown."""
     old = last.need_problem("from_expression")
     if problem.builds is not old.builds:
@@ -117,13 +117,15 @@ def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
             )  # one-sided derivatives are sufficient for a prediction
             point = KktPoint(last)
             return point.differentiate_solution(
-                _subtract_problem_data(point.program.transcription, old, problem)
+                _compute_problem_data_difference(point.program.transcription, old, problem)
             ).variables
     except GncOptError:
         return None
 
 
-def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataPerturbation:
+def _compute_problem_data_difference(
+    transcription: Transcription, old: Problem, new: Problem
+) -> DataPerturbation:
     """Return the difference between the data of two problems; infinite limits do not change."""
 
     def subtract_finite_entries(before: Array, after: Array) -> Array:
@@ -197,9 +199,9 @@ class KktPoint:
     def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
         self.program = ProgramPoint.from_solution(solution, held=partial(impose_touch_points, with_arcs=True))
-        return self._solve_by_newton() or self._describe_active_set_error()
+        return self._solve_kkt_by_newton() or self._describe_active_set_error()
 
-    def _solve_by_newton(self) -> str:
+    def _solve_kkt_by_newton(self) -> str:
         """Apply Newton's method to the conditions; return an error message or ""."""
         best = np.inf
         for _ in range(8):
@@ -209,7 +211,7 @@ class KktPoint:
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            self.program = take_newton_step(self.program, self._system.solve_system(-residual))
+            self.program = take_newton_step(self.program, self._system.solve_saddle_point_system(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
@@ -290,7 +292,7 @@ class KktPoint:
                 (of_rows + point.constraint_jacobian @ moved - shifted)[held],
             ]
         )
-        solved = self._system.solve_system(-right)
+        solved = self._system.solve_saddle_point_system(-right)
         variables = moved.copy()
         variables[free] = solved[: int(np.sum(free))]
         objective = float(of_lagrangian[0] + point.lagrangian_gradient @ moved - point.lam @ shifted)
@@ -365,7 +367,7 @@ class SaddlePointSystem:
                 "first, and a quantity that nothing depends on must be fixed."
             )
 
-    def solve_system(self, right: Array) -> Array:
+    def solve_saddle_point_system(self, right: Array) -> Array:
         """Return the solution, with iterative refinement that also removes the shift of a redundant system."""
         scaled = self._scale * right
         solved = self._factors.solve(scaled)

@@ -153,7 +153,8 @@ class Multistart(PrintableResult):
         if not self.minima:
             raise GncOptError(
                 f"none of {self.finished} starts of '{self.problem_name}' found a minimum "
-                f"({_format_failures(self.failures)}): solve() it once and look at the violations, or try more starts."
+                f"({_format_failure_counts(self.failures)}): "
+                "solve() it once and look at the violations, or try more starts."
             )
         return self.minima[0]
 
@@ -175,11 +176,11 @@ class Multistart(PrintableResult):
                 f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.check_result}"
             )
         if self.failures:
-            lines.append(f"without a minimum: {_format_failures(self.failures)}")
+            lines.append(f"without a minimum: {_format_failure_counts(self.failures)}")
         return "\n".join(lines)
 
 
-def _format_failures(failures: Mapping[str, int]) -> str:
+def _format_failure_counts(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
@@ -280,7 +281,7 @@ def multistart(
         search = _MultistartSearch(pool, stated, progress)
         coarse = _CoarseTask(seed, COARSE_MESH if mesh is None else mesh, chosen)
         endings = search.solve_from_starts(coarse, n)
-        minima = list_distinct_minima(_list_coarse_minima(endings))
+        minima = list_distinct_minima(_list_minima_of_coarse_solves(endings))
         if refine and not pool.interrupted:
             count = _count_minima_to_refine(minima, within)
             whole = limits or RefinementLimits()
@@ -348,7 +349,7 @@ class _MultistartSearch:
 
 def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     """Return the duration of each phase in the best solution; empty without a solution."""
-    best = next(iter(list_distinct_minima(_list_coarse_minima(endings))), None)
+    best = next(iter(list_distinct_minima(_list_minima_of_coarse_solves(endings))), None)
     return {} if best is None else {name: phase.duration for name, phase in best.solution.phases.items()}
 
 
@@ -452,7 +453,7 @@ class _CoarseTask:
         return _StartResult(index, solution=replace(solution, problem=None))
 
 
-def _list_coarse_minima(endings: Iterable[_StartResult]) -> Iterator[Minimum]:
+def _list_minima_of_coarse_solves(endings: Iterable[_StartResult]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective

@@ -228,7 +228,7 @@ class _Branch:
                 if ahead * (value - target) > -self.least:
                     value = float(target)
                 taken = abs(value - values[-1])
-                found, miss = self._solve_at_parameter(value, values[branch:], solutions[branch:])
+                found, miss = self._solve_problem_at_parameter(value, values[branch:], solutions[branch:])
                 smooth = found.status.solved and miss <= PREDICTION_ERROR_MAX
                 if found.status is Status.INTERRUPTED:
                     status = ContinuationStatus.INTERRUPTED
@@ -261,7 +261,7 @@ class _Branch:
             status = ContinuationStatus.INTERRUPTED
         return Continuation(np.array(values), tuple(solutions), status, tuple(events))
 
-    def _solve_at_parameter(
+    def _solve_problem_at_parameter(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
         problem, last = _build_problem_at_parameter(self.problem_of, value), solutions[-1]

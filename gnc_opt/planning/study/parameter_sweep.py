@@ -277,9 +277,11 @@ class _GridLineTask:
     options: SolverOptions | None
 
     def __call__(self, functions: _UserFunctions, item: tuple[int, tuple[float, ...]]) -> list[_GridPoint]:
-        return list(self._solve_grid_points(functions, item[1]))
+        return list(self._solve_along_sweep_line(functions, item[1]))
 
-    def _solve_grid_points(self, functions: _UserFunctions, fixed: tuple[float, ...]) -> Iterator[_GridPoint]:
+    def _solve_along_sweep_line(
+        self, functions: _UserFunctions, fixed: tuple[float, ...]
+    ) -> Iterator[_GridPoint]:
         neighbour: Solution | None = None
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))
@@ -290,7 +292,7 @@ class _GridLineTask:
                     "the result of the family of sweep()",
                     "return the problem",
                 )
-                solution = self._solve_grid_point(problem, neighbour)
+                solution = self._solve_at_sweep_grid_point(problem, neighbour)
                 if solution.status is Status.INTERRUPTED and not self._has_time_limit:
                     raise KeyboardInterrupt
                 outputs = functions.outputs if solution.status.solved else {}
@@ -313,7 +315,7 @@ class _GridLineTask:
     def _has_time_limit(self) -> bool:
         return self.options is not None and self.options.max_wall_time is not None
 
-    def _solve_grid_point(self, problem: Problem, neighbour: Solution | None) -> Solution:
+    def _solve_at_sweep_grid_point(self, problem: Problem, neighbour: Solution | None) -> Solution:
         if neighbour is not None:
             problem.check()
             warm = solve_problem_on_mesh(problem, guess=neighbour, mesh=self.mesh, options=self.options)

@@ -31,11 +31,11 @@ class Relaxation:
     controls: dict[str, Mask]
 
 
-def find_relaxations(problem: Problem) -> list[Relaxation]:
+def list_problem_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
-        _restrict_problem_to_states(problem, part)
-        for part in _select_maximal_state_subsets(list(_list_state_dependence_closures(problem)))
+        _restrict_problem_to_state_subset(problem, part)
+        for part in _select_maximal_state_subsets(list(_list_states_closed_under_dynamics(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -46,7 +46,7 @@ def _select_maximal_state_subsets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _list_state_dependence_closures(problem: Problem) -> Iterator[Mask]:
+def _list_states_closed_under_dynamics(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [phase.model.states.size for phase in legs])
@@ -128,7 +128,7 @@ class _ReducedPhase:
     def stack_phase_expressions(self) -> Any:
         return ca.vertcat(self.rates, self.paths, *self.integrands.values())
 
-    def build_reduced_model(self, used: set[int]) -> tuple[Model, Any, Any]:
+    def build_model_with_fewer_states(self, used: set[int]) -> tuple[Model, Any, Any]:
         """Return the reduced model, and the old symbols with their replacements."""
         old, model = self.leg.model, Model(self.leg.model.name)
         t, x, u, p = old.arguments()
@@ -136,14 +136,14 @@ class _ReducedPhase:
             (old.states, self.states, model.state),
             (old.controls, self.controls, model.control),
         ):
-            for name, places in _select_retained_variables(layout, kept):
+            for name, places in _list_retained_variable_components(layout, kept):
                 v = layout[name]
                 nominal = None if v.nominal is None else np.broadcast_to(v.nominal, v.size)[places]
                 declare(name, len(places), unit=v.unit, nominal=nominal)
         parameters = np.array(
             [s.element_hash() in used for s in ca.vertsplit(p)] if p.numel() else [], dtype=bool
         )
-        for name, places in _select_retained_variables(old.parameters, parameters):
+        for name, places in _list_retained_variable_components(old.parameters, parameters):
             value = old.parameter_values[old.parameters.slice(name)][places]
             model.parameter(name, value, unit=old.parameters[name].unit)
         kept = ((x, self.states), (u, self.controls), (p, parameters))
@@ -154,7 +154,7 @@ class _ReducedPhase:
         return model, before, after
 
 
-def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | None:
+def _restrict_problem_to_state_subset(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs other states."""
     conditions, cost = problem.constraint_expression(), problem.cost
     if np.any(_find_states_in_end_expression(problem, cost)[:, ~kept]):
@@ -181,14 +181,16 @@ def _build_relaxed_problem(
     }
     states = ", ".join(
         dict.fromkeys(
-            name for p in parts for name, _ in _select_retained_variables(p.leg.model.states, p.states)
+            name
+            for p in parts
+            for name, _ in _list_retained_variable_components(p.leg.model.states, p.states)
         )
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
     before, after = _declare_free_parameters(problem, relaxed, parts, used)
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
-        model, old, new = part.build_reduced_model(used)
+        model, old, new = part.build_model_with_fewer_states(used)
         phase = relaxed.phase(part.leg.name, model)
         _declare_limits_of_reduced_phase(phase, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
@@ -202,7 +204,7 @@ def _build_relaxed_problem(
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _format_row_constraint_name(problem.constraint_labels()[place])
+        label = _convert_label_to_constraint_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
@@ -245,12 +247,16 @@ def _declare_limits_of_reduced_phase(phase: Phase, part: _ReducedPhase, before: 
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        phase.path(_format_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        phase.path(
+            _convert_label_to_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i]
+        )
     for name, integrand in part.integrands.items():
         phase.integral(_substitute_symbols(integrand, before, after), name)
 
 
-def _select_retained_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
+def _list_retained_variable_components(
+    layout: Layout, kept: Iterable[bool]
+) -> Iterator[tuple[str, list[int]]]:
     chosen = np.asarray(kept, dtype=bool)
     for name in layout.names:
         places = np.flatnonzero(chosen[layout.slice(name)]).tolist()
@@ -258,7 +264,7 @@ def _select_retained_variables(layout: Layout, kept: Iterable[bool]) -> Iterator
             yield name, places
 
 
-def _format_row_constraint_name(label: str) -> str:
+def _convert_label_to_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 

@@ -26,10 +26,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import (
-    build_state_polynomial,
-    read_phase_parameters,
-)
+from gnc_opt.planning.solution.solution_from_nlp_result import build_state_polynomial, read_phase_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataPerturbation, KktPoint, SolutionDerivative
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -109,11 +106,11 @@ class Sensitivity:
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
-        return _get_signal_sensitivity(self.phase(phase).states, name, "state")
+        return _get_state_or_control_sensitivity(self.phase(phase).states, name, "state")
 
     def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a control over time."""
-        return _get_signal_sensitivity(self.phase(phase).controls, name, "control")
+        return _get_state_or_control_sensitivity(self.phase(phase).controls, name, "control")
 
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
@@ -132,7 +129,7 @@ class Sensitivity:
         return self.phase().final_time
 
 
-def _get_signal_sensitivity(
+def _get_state_or_control_sensitivity(
     signals: Mapping[str, SignalSensitivity], name: str, kind: str
 ) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
@@ -216,7 +213,7 @@ def sensitivity(
     solution.need_solved_problem("from_expression")
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
-    quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
+    quantity, changes = _list_problem_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
     return _assemble_solution_sensitivity(point.program, solution, quantity, changes, responses)
 
@@ -263,20 +260,22 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 # --- the quantity ---------------------------------------------------------------------------------
 
 
-def _list_data_perturbations(
+def _list_problem_data_perturbations(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[DataPerturbation]]:
     if kind == "parameter":
-        return f"parameter '{name}'", _perturb_parameter_data(program, name, phase)
+        return f"parameter '{name}'", _perturb_model_parameter(program, name, phase)
     if kind == "constraint":
-        return f"boundary constraint '{name}'", _perturb_constraint_data(program, solution, name)
+        return f"boundary constraint '{name}'", _perturb_boundary_constraint_limits(program, solution, name)
     selected = solution.phase(phase)
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
                 f"sensitivity() has no time {name!r}: {suggest_similar_name(str(name), ('initial', 'final'))}"
             )
-        return f"{name} time of phase '{selected.name}'", [_perturb_time_data(program, selected.name, name)]
+        return f"{name} time of phase '{selected.name}'", [
+            _perturb_phase_end_time(program, selected.name, name)
+        ]
     return f"{kind} value of '{name}' in phase '{selected.name}'", _perturb_end_states(
         program, selected, kind, name
     )
@@ -291,7 +290,7 @@ def _create_zero_data_perturbation(program: ProgramPoint) -> DataPerturbation:
     )
 
 
-def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None) -> list[DataPerturbation]:
+def _perturb_model_parameter(program: ProgramPoint, name: str, phase: str | None) -> list[DataPerturbation]:
     """Return the directions of a model parameter, in every phase that has it (or in one)."""
     problem = program.problem
     if name in problem.parameters:
@@ -335,7 +334,7 @@ def _perturb_end_states(
     return changes
 
 
-def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataPerturbation:
+def _perturb_phase_end_time(program: ProgramPoint, phase: str, end: str) -> DataPerturbation:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
     change = _create_zero_data_perturbation(program)
@@ -352,7 +351,9 @@ def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataPertu
     return change
 
 
-def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: str) -> list[DataPerturbation]:
+def _perturb_boundary_constraint_limits(
+    program: ProgramPoint, solution: Solution, name: str
+) -> list[DataPerturbation]:
     solution.multiplier(name)  # raises an error for unknown names
     rows = program.transcription.constraint_rows
     changes = []
@@ -415,7 +416,7 @@ def _build_phase_sensitivity(
     anchors = [piece[0] for piece in pieces]
     scalar = len(pieces) == 1
 
-    def build_signal_sensitivities(
+    def build_state_or_control_sensitivities(
         layout: Layout, sources: list[PiecewisePolynomial]
     ) -> dict[str, SignalSensitivity]:
         return {
@@ -433,8 +434,8 @@ def _build_phase_sensitivity(
         _stack_signal_components([a[:1] for a in anchors]),
         _stack_signal_components([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
-        build_signal_sensitivities(phase.states, [piece[1] for piece in pieces]),
-        build_signal_sensitivities(phase.controls, [piece[2] for piece in pieces]),
+        build_state_or_control_sensitivities(phase.states, [piece[1] for piece in pieces]),
+        build_state_or_control_sensitivities(phase.controls, [piece[2] for piece in pieces]),
     )
 
 
@@ -456,8 +457,8 @@ def _differentiate_phase_trajectory(
     shifts = _differentiate_boundary_times(transcription, part, anchors)
     return (
         anchors,
-        _subtract_node_motion(states, phase.x, shifts),
-        _subtract_node_motion(controls, phase.u, shifts),
+        _convert_derivative_to_fixed_time(states, phase.x, shifts),
+        _convert_derivative_to_fixed_time(controls, phase.u, shifts),
     )
 
 
@@ -467,7 +468,7 @@ def _differentiate_boundary_times(transcription: Transcription, part: PhaseIndic
     return np.append(starts, anchors[-1])
 
 
-def _subtract_node_motion(
+def _convert_derivative_to_fixed_time(
     change: PiecewisePolynomial, signal: PiecewisePolynomial, shifts: Array
 ) -> PiecewisePolynomial:
     """Return the derivative at fixed time: dX/dp at a node minus dx/dt times the node's dt/dp."""

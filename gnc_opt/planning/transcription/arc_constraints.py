@@ -158,7 +158,7 @@ def count_junction_rows(junction: Junction, n_paths: int) -> int:
     return len(list_junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def compute_junction_row_limits(junction: Junction, paths: Interval, order: int | None) -> Array:
+def compute_junction_constraint_limits(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
@@ -195,7 +195,7 @@ def list_polynomial_controls(phase: Phase) -> tuple[SmoothControl, ...]:
     return () if phase.numbers.arcs is None else phase.numbers.arcs.smooth
 
 
-def build_polynomial_control_rows(
+def build_polynomial_control_constraints(
     smooth: SmoothControl, collocation: PhaseCollocation
 ) -> tuple[Indices, Array]:
     """Return control variables of segments (N,), and orthonormal rows that vanish for polynomials of the degree."""

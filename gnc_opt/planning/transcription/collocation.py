@@ -152,7 +152,9 @@ class PhaseCollocation:
         start = self.first_row + self.n_dynamics_rows
         return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
 
-    def list_row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
+    def list_constraint_row_labels(
+        self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]
+    ) -> list[str]:
         labels = []
         for k, count in enumerate(self._segment_dynamics_row_counts):
             for i in range(count):

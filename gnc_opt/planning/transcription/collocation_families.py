@@ -49,7 +49,7 @@ class PointFamily(ABC):
         return self.starts_at_point == self.ends_at_point
 
     @property
-    def has_dynamics_row_at_end(self) -> bool:
+    def has_dynamics_row_at_segment_end(self) -> bool:
         """Whether the state at the end of a segment has its own row and multiplier."""
         return self.extra_rows > 0
 
@@ -60,7 +60,7 @@ class PointFamily(ABC):
         """Return the points to about 14 digits."""
 
     @abstractmethod
-    def build_node_polynomial(self, n: int) -> dict[int, int]:
+    def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         """Return the polynomial whose (simple) roots are the points: Legendre degree → coefficient."""
 
     def sum_legendre_squares(self, n: int) -> list[Decimal]:
@@ -104,7 +104,7 @@ class Gauss(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
-    def build_node_polynomial(self, n: int) -> dict[int, int]:
+    def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         return {n: 1}
 
     def get_state_nodes(self, points: Numbers) -> Numbers:
@@ -137,7 +137,7 @@ class Radau(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
-    def build_node_polynomial(self, n: int) -> dict[int, int]:
+    def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
 
     def get_state_nodes(self, points: Numbers) -> Numbers:
@@ -160,7 +160,7 @@ class Lobatto(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
-    def build_node_polynomial(self, n: int) -> dict[int, int]:
+    def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         return {n: 1, n - 2: -1}
 
     def sum_legendre_squares(self, n: int) -> list[Decimal]:

@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
-    build_polynomial_control_rows,
+    build_polynomial_control_constraints,
     count_junction_rows,
     list_arc_junctions,
     list_polynomial_controls,
@@ -63,14 +63,16 @@ class NlpLayout:
         self.parts: dict[str, PhaseIndices] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
         self._direct, self._defined = problem.memoize(
-            "integrals of the end rows", self._separate_linear_integrals
+            "integrals of the end rows", self._separate_integrals_entering_linearly
         )
-        self._number_phase_variables(meshes)
-        self._number_end_constraint_rows()
+        self._assign_phase_variable_indices(meshes)
+        self._assign_end_constraint_row_indices()
 
     # --- indices ----------------------------------------------------------------------------------
 
-    def _separate_linear_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
+    def _separate_integrals_entering_linearly(
+        self,
+    ) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
         """Return the integrals with constant coefficients in (cost, constraints), and the other integrals."""
         outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
         direct: dict[tuple[str, str], Array] = {}
@@ -84,7 +86,7 @@ class NlpLayout:
                     defined.append((phase.name, label))
         return direct, defined
 
-    def _number_phase_variables(self, meshes: Mapping[str, Mesh]) -> None:
+    def _assign_phase_variable_indices(self, meshes: Mapping[str, Mesh]) -> None:
         variable = row = 0
         collocations = {}
         for name, phase in self.problem.phases.items():
@@ -118,12 +120,14 @@ class NlpLayout:
             for name, anchor in free_times
         ]
         self._smooth = [
-            build_polynomial_control_rows(smooth, collocations[name])
+            build_polynomial_control_constraints(smooth, collocations[name])
             for name, phase in self.problem.phases.items()
             for smooth in list_polynomial_controls(phase)
         ]
         self._first_smooth_row = row
-        self.junctions = self._number_junction_rows(row + sum(values.shape[0] for _, values in self._smooth))
+        self.junctions = self._assign_junction_row_indices(
+            row + sum(values.shape[0] for _, values in self._smooth)
+        )
         self._first_end_row = row + sum(values.shape[0] for _, values in self._smooth)
         self._first_end_row += sum(rows.size for *_, rows in self.junctions)
         for k, (name, collocation) in enumerate(collocations.items()):
@@ -133,7 +137,7 @@ class NlpLayout:
             ]
             self.parts[name] = PhaseIndices(name, collocation, np.asarray(places, dtype=np.int64))
 
-    def _number_junction_rows(self, row: int) -> list[tuple[str, Junction, Indices]]:
+    def _assign_junction_row_indices(self, row: int) -> list[tuple[str, Junction, Indices]]:
         """Return phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, phase in self.problem.phases.items():
@@ -148,7 +152,7 @@ class NlpLayout:
             return False
         return is_boundary_time_fixed(self.problem.phases[name], min(anchor, 1))
 
-    def _number_end_constraint_rows(self) -> None:
+    def _assign_end_constraint_row_indices(self) -> None:
         self._durations = [
             name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
         ]
@@ -183,11 +187,13 @@ class NlpLayout:
         return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
 
     @cached_property
-    def row_labels(self) -> tuple[str, ...]:
+    def constraint_row_labels(self) -> tuple[str, ...]:
         labels: list[str] = []
         for name, part in self.parts.items():
             phase = self.problem.phases[name]
-            labels += part.collocation.list_row_labels(name, phase.model.states.labels, phase.path_labels)
+            labels += part.collocation.list_constraint_row_labels(
+                name, phase.model.states.labels, phase.path_labels
+            )
         labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
         for name, junction, rows in self.junctions:
             phase = self.problem.phases[name]

@@ -143,17 +143,17 @@ def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers
         family = get_point_family(scheme)
         x = _convert_to_decimals(family.approximate_nodes(n))[(n + 1) // 2 if family.is_symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
-            x = _refine_points_by_newton(scheme, n, x)
+            x = _refine_quadrature_points_by_newton(scheme, n, x)
         if family.is_symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _evaluate_legendre(x, n - 1)
         return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family.sum_legendre_squares(n)))
 
 
-def _refine_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
+def _refine_quadrature_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _evaluate_legendre(x, n)
-    series = get_point_family(scheme).build_node_polynomial(n)
+    series = get_point_family(scheme).build_polynomial_with_node_roots(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)

@@ -15,7 +15,7 @@ from gnc_opt.numerical_tolerances import replace_zero_divisors_by_one, set_nonfi
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import (
-    choose_typical_magnitudes,
+    choose_magnitudes_from_bounds,
     estimate_phase_magnitudes,
 )
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -53,7 +53,7 @@ def choose_variable_scales(
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     places = transcription.parameter_places
-    scales[places] = choose_typical_magnitudes(problem.get_parameter_bounds(), np.abs(start[places]))
+    scales[places] = choose_magnitudes_from_bounds(problem.get_parameter_bounds(), np.abs(start[places]))
     return scales
 
 
@@ -90,7 +90,6 @@ def _compute_jacobian_magnitudes(
         gradient = np.maximum(gradient, np.abs(set_nonfinite_to_zero(slope)))
         nonzeros = np.maximum(nonzeros, np.abs(set_nonfinite_to_zero(jacobian)))
         room = np.maximum(
-            room,
-            set_nonfinite_to_zero(np.minimum(values - limits.lower, limits.upper - values)),
+            room, set_nonfinite_to_zero(np.minimum(values - limits.lower, limits.upper - values))
         )
     return gradient, nonzeros, room

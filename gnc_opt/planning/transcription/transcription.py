@@ -17,14 +17,14 @@ from gnc_opt.numerical_tolerances import SHORTEST
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
-from gnc_opt.planning.problem.bounds import Interval, free_interval
+from gnc_opt.planning.problem.bounds import Interval, unbounded_interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.problem.symbolic_expressions import list_model_parameter_arguments
 from gnc_opt.planning.transcription.arc_constraints import (
     check_number_of_arc_segments,
-    compute_junction_row_limits,
+    compute_junction_constraint_limits,
     find_controls_at_junction,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,
@@ -87,7 +87,7 @@ class Transcription(NlpLayout):
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
         blocks = [self._transcribe_collocated_functions(phase, "dynamics", [(rows + 1, columns, values)])]
-        entries = self._list_integral_weight_nonzeros(phase)
+        entries = self._list_quadrature_weight_entries(phase)
         if entries:  # integrals that are only evaluated have no entries
             blocks.append(self._transcribe_collocated_functions(phase, "integrals", entries))
         return blocks
@@ -143,18 +143,18 @@ class Transcription(NlpLayout):
             ca.substitute(outputs, t, ends[0] + fraction * span),
         )
 
-    def _list_integral_weight_nonzeros(self, phase: Phase) -> list[Any]:
+    def _list_quadrature_weight_entries(self, phase: Phase) -> list[Any]:
         collocation = self.parts[phase.name].collocation
         entries = []
         for place, label in enumerate(phase.integrands):
             columns = place + len(phase.integrands) * np.arange(collocation.mesh.size)
-            for row, coefficient in self._list_integral_coefficients(phase.name, label):
+            for row, coefficient in self._list_nlp_coefficients_of_integral(phase.name, label):
                 entries.append(
                     (np.full(columns.size, row), columns, coefficient * collocation.quadrature_weights)
                 )
         return entries
 
-    def _list_integral_coefficients(self, phase: str, label: str) -> list[tuple[int, float]]:
+    def _list_nlp_coefficients_of_integral(self, phase: str, label: str) -> list[tuple[int, float]]:
         """Return rows (0 is the objective) and coefficients of an integral in the program."""
         if (phase, label) in self._direct:
             coefficients = self._direct[phase, label]
@@ -341,7 +341,7 @@ class Transcription(NlpLayout):
 
     def get_variable_bounds(self, problem: Problem) -> Interval:
         """Return the bounds of all variables in physical units."""
-        box = free_interval(self.n_variables)
+        box = unbounded_interval(self.n_variables)
         for name, part in self.parts.items():
             self._set_phase_bounds(box, problem, problem.phases[name], part)
         q = problem.get_parameter_bounds()
@@ -398,7 +398,7 @@ class Transcription(NlpLayout):
         for name, junction, rows in self.junctions:
             phase = problem.phases[name]
             order = get_constraint_order(self.problem, phase, junction.constraint).order
-            values = compute_junction_row_limits(junction, phase.get_path_bounds(), order)
+            values = compute_junction_constraint_limits(junction, phase.get_path_bounds(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))

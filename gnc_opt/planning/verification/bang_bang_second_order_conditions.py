@@ -67,13 +67,13 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     worst = min(filter(None, map(_find_worst_switching_function_sign, samples)), default=None)
     touched = next(filter(None, map(_find_switching_function_touching_zero, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
-    if touched and (worst is None or not worst.is_violation):
+    if touched and (worst is None or not worst.is_sign_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(
             name, ConditionResult.PASS, 0.0, 0.0, "no switch between control limits", meaning, sufficient=True
         )
-    result = combine_condition_results(least > NEGLIGIBLE, worst.is_violation)
+    result = combine_condition_results(least > NEGLIGIBLE, worst.is_sign_violation)
     return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
@@ -86,7 +86,7 @@ class _SwitchingFunctionZero:
     where: str
 
     @property
-    def is_violation(self) -> bool:
+    def is_sign_violation(self) -> bool:
         return self.slope < -NEGLIGIBLE and not self.harmless
 
 
@@ -301,7 +301,7 @@ def _build_switch_order_constraints(
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
-        own = switches[name].build_sequence_constraints(order)
+        own = switches[name].build_switch_sequence_constraints(order)
         block = np.zeros((own.shape[0], unknowns.scale.size))
         block[:, unknowns.places[name][: own.shape[1]]] = own
         rows.append(block)

@@ -42,8 +42,8 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import (
-    compute_path_reach,
-    locate_largest_over_time,
+    compute_path_constraint_changes,
+    locate_largest_value_over_time,
 )
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 
@@ -82,7 +82,7 @@ def impose_constraints_active_at_ends(
 
 def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
-    phase, pure = s.leg, s.pure_state_paths
+    phase, pure = s.leg, s.pure_state_constraints
     end, point = s.times[[at]], phase.point_times[[at]]
     values = np.hstack([s.functions.path_constraints(t, phase.x(t), phase.applied(t)) for t in (end, point)])
     near = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
@@ -103,7 +103,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
         share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
-        if s.pure_state_paths.size:
+        if s.pure_state_constraints.size:
             share = np.fmin(
                 share, _evaluate_costate_residuals(s, _remove_multiplier_impulses(s), scales, tolerance)[0]
             )
@@ -134,8 +134,10 @@ def _evaluate_costate_residuals(
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
     residual = s.adjoint_residual(s.u, mu)
-    total = s.segment_integrals(residual)
-    inside = s.segment_maxima(along.support_function(s.running_integrals(residual))) * np.sqrt(tolerance)
+    total = s.integrate_over_segments(residual)
+    inside = s.compute_segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(
+        tolerance
+    )
     share = np.fmax(along.support_function(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
@@ -149,7 +151,7 @@ def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
     ]
     nodes = tuple(rule.points[here] for rule, here in zip(phase.collocation_rules, inner, strict=True))
     values = tuple(v[:, here] for v, here in zip(phase.path_multiplier.values, inner, strict=True))
-    mu, pure = s.mu.copy(), s.pure_state_paths
+    mu, pure = s.mu.copy(), s.pure_state_constraints
     mu[pure] = s.sample_signal(PiecewisePolynomial(phase.breaks, nodes, values))[pure]
     return mu
 
@@ -236,7 +238,7 @@ def check_complementarity(
                 phase.path_multipliers,
                 paths,
                 phase.path_bounds,
-                compute_path_reach(s, scales, times, x, u),
+                compute_path_constraint_changes(s, scales, times, x, u),
             ),
         ):
             violation = (
@@ -245,7 +247,7 @@ def check_complementarity(
                 / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_larger(locate_largest_over_time(s, violation, times, places))
+            worst = worst.select_larger(locate_largest_value_over_time(s, violation, times, places))
     return worst
 
 
@@ -259,7 +261,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
         / scales.cost
     )
     places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
-    return Worst.locate_largest(violation, places.__getitem__)
+    return Worst.locate_largest_value(violation, places.__getitem__)
 
 
 def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Worst:
@@ -271,7 +273,7 @@ def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Wor
     left, x = impulses - made_up_for, phase.x(breaks)
     products = _compute_complementarity_products(left, x, phase.state_bounds, radius)
     places = [f"impulse on {label}" for label in phase.states.labels]
-    return locate_largest_over_time(s, products / scales.cost, breaks, places)
+    return locate_largest_value_over_time(s, products / scales.cost, breaks, places)
 
 
 def _compute_complementarity_products(
@@ -301,7 +303,7 @@ def check_parameter_stationarity(
         / scales.cost
     )
     places = [f"parameter {label}" for label in solution.free_parameters.labels]
-    return Worst.locate_largest(violation, places.__getitem__)
+    return Worst.locate_largest_value(violation, places.__getitem__)
 
 
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:

@@ -19,7 +19,12 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
-from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramLimits, ProgramPoint, compute_curvature
+from gnc_opt.planning.optimality.kkt_system import (
+    NullSpace,
+    ProgramLimits,
+    ProgramPoint,
+    compute_curvature_along_direction,
+)
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.solution.phase_solution import interpolate_point_values
@@ -112,7 +117,7 @@ def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhaseIndices) -
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
     along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
-    for row in s.pure_state_paths:
+    for row in s.pure_state_constraints:
         along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.point_offsets[:-1])
     return np.asarray(along[:, 1:] & ~along[:, :-1])
 
@@ -140,7 +145,7 @@ class CriticalCone:
         is fixed if it shares a segment with a node with a multiplier.
         """
         strong, weak = [], []
-        of_variables, of_rows = _list_variables_along_segments(point)
+        of_variables, of_rows = _list_nlp_variables_along_segments(point)
         for limits, values, multipliers, lines in (
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
             (point.rows, point.constraint_values, point.multiplier_densities[1], of_rows),
@@ -153,7 +158,7 @@ class CriticalCone:
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
 
-    def admits_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
+    def contains_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
         """Return whether a direction satisfies weakly active limits at the nodes and active ones between them."""
         point = self.point
         changes = np.concatenate([direction, point.constraint_jacobian @ direction])[self.weak]
@@ -163,13 +168,16 @@ class CriticalCone:
         between = [self._compute_largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
-    def has_curvature_of_dependent_rows(self, direction: Array) -> bool:
+    def is_curvature_multiplier_dependent(self, direction: Array) -> bool:
         """Return whether multipliers that are not unique change the curvature along a direction.
 
         Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
         """
         space = NullSpace.with_fixed_variables(self.point, self.strong | self.weak)
-        solve, change = space.factorise_identity[1], np.random.default_rng(0).standard_normal(space.rows.size)
+        solve, change = (
+            space.factorise_projection_matrix[1],
+            np.random.default_rng(0).standard_normal(space.rows.size),
+        )
         for _ in range(2):
             change = solve(np.concatenate([np.zeros(space.dimension), change]))[space.dimension :]
             change /= max(float(np.linalg.norm(change)), TINY)
@@ -177,8 +185,10 @@ class CriticalCone:
             return False
         multipliers = self.point.lam.copy()
         multipliers[space.rows] += change / space.norms
-        value, share = compute_curvature(self.point.lagrangian_hessian, direction)
-        changed, _ = compute_curvature(self.point.evaluate_hessian(1.0, multipliers), direction)
+        value, share = compute_curvature_along_direction(self.point.lagrangian_hessian, direction)
+        changed, _ = compute_curvature_along_direction(
+            self.point.evaluate_hessian(1.0, multipliers), direction
+        )
         return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
     def _compute_largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
@@ -206,7 +216,7 @@ class CriticalCone:
         return np.concatenate(worst)
 
 
-def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
+def _list_nlp_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
     """Return the variables of each state along each segment and of each control, and the rows of path constraints."""
     variables, rows = [], []
     for part in point.transcription.parts.values():
@@ -214,9 +224,9 @@ def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], 
         for k in range(collocation.mesh.segments):
             variables += [
                 *_list_segment_states(collocation, k),
-                *_list_variables_in_segment(collocation, collocation.point_controls, k),
+                *_select_nlp_variables_of_segment(collocation, collocation.point_controls, k),
             ]
-            rows += [*_list_variables_in_segment(collocation, collocation.path_rows, k)]
+            rows += [*_select_nlp_variables_of_segment(collocation, collocation.path_rows, k)]
     return variables, rows
 
 
@@ -230,13 +240,13 @@ def _extend_active_limits_along_arcs(
         held[line[same]], doubtful[line[same]] = True, False
 
 
-def _list_variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
+def _select_nlp_variables_of_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
     return np.asarray(places[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
 
 
 def _list_segment_states(collocation: PhaseCollocation, k: int) -> Indices:
     """Return the state variables at start, points and end of a segment, without duplicates (n_states, nodes)."""
-    points = _list_variables_in_segment(collocation, collocation.point_states, k)
+    points = _select_nlp_variables_of_segment(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
     family = collocation.family
     middle = points[:, int(family.starts_at_point) : points.shape[1] - int(family.ends_at_point)]

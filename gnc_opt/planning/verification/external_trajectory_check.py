@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
-    bind_parameters,
+    bind_free_parameter_values,
     build_phase_solutions,
     read_phase_parameters,
     unwrap_angles,
@@ -205,7 +205,7 @@ def _mark_interpolation_errors_inconclusive(
         return verdict
     thinned = {name: _remove_every_second_sample(phase) for name, phase in samples.items()}
     coarse = verify(_build_sampled_solution(problem, thinned, q), tol=tol)
-    if not all(_is_interpolation_error(c, coarse[c.name].value / c.value) for c in failed):
+    if not all(_is_failure_due_to_interpolation(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"
     return replace(
@@ -217,7 +217,7 @@ def _mark_interpolation_errors_inconclusive(
     )
 
 
-def _is_interpolation_error(failed: Condition, growth: float) -> bool:
+def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
     """Return whether an error that grows if every second sample is omitted is due to the samples.
 
     Defects are integrals over the steps: denser samples of the same trajectory have smaller ones.
@@ -283,7 +283,7 @@ def _build_sampled_solution(
 ) -> Solution:
     fitted = {
         name: fit_trajectory_polynomials(
-            samples[name], bind_parameters(problem, name, q).state_rates
+            samples[name], bind_free_parameter_values(problem, name, q).state_rates
         ).split_segments(parts)
         for name in problem.phases
     }
@@ -331,7 +331,9 @@ def _unwrap_sampled_angles(
     found = {}
     for name, phase in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwrap_angles(bind_parameters(problem, name, q), bounds, phase.t, phase.x, phase.u)
+        controls = unwrap_angles(
+            bind_free_parameter_values(problem, name, q), bounds, phase.t, phase.x, phase.u
+        )
         found[name] = replace(phase, u=controls)
     return found
 

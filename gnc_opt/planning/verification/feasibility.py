@@ -66,9 +66,11 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
-def locate_largest_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
+def locate_largest_value_over_time(
+    s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]
+) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
-    return Worst.locate_largest(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
+    return Worst.locate_largest_value(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
@@ -89,7 +91,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     phase, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
-    total, narrow = s.segment_integrals(residual), scan.segment_integrals(scanned)
+    total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
     held = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
     missed = ellipsoid.normalise_displacement(total)
     # Residuals contain the error of the states inside a segment, which an integration does not.
@@ -105,8 +107,8 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     shares = np.zeros(phase.mesh.segments)
     for at, own, defects in ((s, total, residual), (scan, narrow, scanned)):
         own[:, :-1] += jumps
-        running = np.where(held[at.segments], 0.0, at.running_integrals(defects))
-        inside = at.segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
+        running = np.where(held[at.segments], 0.0, at.cumulative_integrals(defects))
+        inside = at.compute_segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
         missed = ellipsoid.normalise_displacement(own)
         shares = np.fmax(shares, np.where(np.isnan(missed), np.inf, np.fmax(missed, inside)))
     k = int(np.argmax(shares))
@@ -122,7 +124,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         ]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
-    weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0))
+    weighted = s.integrate_over_segments(np.sum(s.lam * residual, axis=0))
     if s.has_duration and np.all(np.isfinite(weighted)):
         ends = phase.lam(phase.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
@@ -132,7 +134,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     return worst
 
 
-def check_limits(
+def check_trajectory_limits(
     solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float
 ) -> Condition:
     """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
@@ -169,7 +171,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     )
     scale = _cap_scale_by_interval_width(scale, phase.control_bounds)
     violation = phase.control_bounds.compute_bound_violation(u) / np.where(scale > 0, scale, TINY)
-    return locate_largest_over_time(s, violation, phase.point_times, phase.controls.labels)
+    return locate_largest_value_over_time(s, violation, phase.point_times, phase.controls.labels)
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -209,14 +211,16 @@ def _compute_distances_to_limits(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_reach(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_constraint_changes(s, scales, *at)[rows, np.arange(rows.size)]
     reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def compute_path_constraint_changes(
+    s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array
+) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -234,7 +238,7 @@ def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
     places = [f"phase {s.leg.name}, {label}, effect on the cost" for label in s.leg.path_labels]
-    return Worst.locate_largest(price, places.__getitem__)
+    return Worst.locate_largest_value(price, places.__getitem__)
 
 
 def check_table_ranges(solution: Solution) -> Condition:
@@ -328,7 +332,7 @@ def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Sca
     price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
-    return Worst.locate_largest(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
+    return Worst.locate_largest_value(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
 
 
 def check_reported_cost(
@@ -359,7 +363,9 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(Worst.locate_largest(np.abs(off) / yardstick, places.__getitem__))
+            worst = worst.select_larger(
+                Worst.locate_largest_value(np.abs(off) / yardstick, places.__getitem__)
+            )
     return check_tolerance(
         "cost",
         worst,

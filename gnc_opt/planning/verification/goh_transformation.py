@@ -189,7 +189,9 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
     slopes = _build_hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
-    by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
+    by_control = (
+        s.functions.dynamics_control_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
+    )
     mixed = span[:, None] * slopes[channels] @ by_control
     by_control = by_control / point.scaling.variables[last, None]
     ends = point.lagrangian_hessian[last][:, last] / point.scaling.objective

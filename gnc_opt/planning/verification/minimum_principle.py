@@ -66,7 +66,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
-        totals = np.pad(s.segment_integrals(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
+        totals = np.pad(s.integrate_over_segments(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
         moved = np.cumsum(totals, axis=1) / s.span
         # The location is that of the largest mean.
         lasts = average_violation_over_time(s.times, gain)
@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_larger(_locate_largest_decrease_by_control(s, violation, "dH/du of "))
+        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,7 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_larger(_locate_largest_decrease_by_control(s, gain, "switching function of "))
+        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, gain, "switching function of "))
     return worst
 
 
@@ -113,8 +113,10 @@ def _estimate_hamiltonian_decreases(
     return loss, at_lower | at_upper
 
 
-def _locate_largest_decrease_by_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    return Worst.locate_largest(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
+def _locate_largest_hamiltonian_decrease(s: PhaseSamples, loss: Array, what: str) -> Worst:
+    return Worst.locate_largest_value(
+        loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i])
+    )
 
 
 def check_minimum_principle(
@@ -157,7 +159,9 @@ def _search_hamiltonian_decreases(
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _compute_separable_hamiltonian_decrease(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _sample_separable_controls(s), s.lam)
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(
+        s.times, s.x, _draw_separable_controls_in_limits(s), s.lam
+    )
     gain = np.fmax(apart, set_nonfinite_to_zero(elsewhere))
     others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
@@ -186,7 +190,7 @@ def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
-def _sample_separable_controls(s: PhaseSamples) -> Array:
+def _draw_separable_controls_in_limits(s: PhaseSamples) -> Array:
     """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
     lower, upper = get_control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])

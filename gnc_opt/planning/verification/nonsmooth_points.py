@@ -26,7 +26,7 @@ from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
-    compute_hamiltonian_differences,
+    compute_hamiltonian_integral_differences,
 )
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmooth_operations, has_kinks
 from gnc_opt.planning.problem.problem import Problem
@@ -171,7 +171,7 @@ def _find_largest_nonconvexity(differences: Array) -> float:
 
 
 def _compute_hamiltonian_differences_by_step(s: PhaseSamples, moves: Array) -> list[Array]:
-    return [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
+    return [compute_hamiltonian_integral_differences(s, moves, step) for step in STEPS]
 
 
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
@@ -199,11 +199,13 @@ def _find_jump_of_state_rates(
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
-    def evaluate_arguments(times: Array) -> Array:
+    def evaluate_kink_arguments(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    at = find_sign_change_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
+    at = find_sign_change_times(
+        evaluate_kink_arguments, np.array([i]), between[:1] + aside, between[1:] - aside
+    )
     sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale

@@ -133,7 +133,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_stored_data(solution)
     samples = list(solution.samples().values())
     ends = get_end_gradients(solution)
-    amount = float(EndPoints.from_solution(solution, samples).compute_largest_changes()[-1])
+    amount = float(EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()[-1])
     with_costates = has_costates(samples, ends, amount)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
@@ -141,7 +141,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
-    limits = [feasibility.check_limits(solution, samples, scales, tol)]
+    limits = [feasibility.check_trajectory_limits(solution, samples, scales, tol)]
     along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
         limits.append(feasibility.check_table_ranges(solution))
@@ -158,7 +158,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     concave = kink if kink is not None and kink.resolved else None
     least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
     if least:
-        first = [_pass_by_cost_lower_bound(c) for c in first]
+        first = [_pass_condition_by_lower_bound(c) for c in first]
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
@@ -173,7 +173,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         vanished = next(s.leg.name for s in samples if not s.has_duration)
         checked = [_mark_zero_duration_phase(c, vanished) for c in checked]
     if least:
-        checked = [_pass_by_cost_lower_bound(c) for c in checked]
+        checked = [_pass_condition_by_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _is_solution_unique(problem, lasting):
         checked = [_replace_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
@@ -237,7 +237,9 @@ def _check_second_order_and_switching_times(
     switches.append(check_switching_times(solution, samples, ends, scales))
     parts = check_second_order_conditions(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
-        parts = [_mark_curvature_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
+        parts = [
+            _mark_negative_curvature_inconclusive(c) if c.name == "Legendre-Clebsch" else c for c in parts
+        ]
     return [
         _describe_undetermined_arcs(_combine_optimality_conditions("second order", parts), parts),
         _combine_optimality_conditions("switching times", switches),
@@ -252,7 +254,7 @@ def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) ->
     return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
 
 
-def _mark_curvature_as_multiplier_error(condition: Condition) -> Condition:
+def _mark_negative_curvature_inconclusive(condition: Condition) -> Condition:
     """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
     if condition.result is not ConditionResult.FAIL:
         return condition
@@ -269,7 +271,7 @@ def check_second_order_conditions(
     limited, limited_ends = impose_constraints_active_at_ends(solution, samples, ends)
     found = _check_second_variation(limited, samples, limited_ends)
     if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
-        found = [_pass_by_convexity_theorem(c) for c in found]
+        found = [_pass_condition_by_convexity(c) for c in found]
     return [*found, *_check_singular_arcs(problem, lasting, tol)]
 
 
@@ -313,7 +315,7 @@ def _replace_condition_result(condition: Condition, result: ConditionResult, rea
     return replace(condition, result=result, where=f"{condition.where}; {reason}")
 
 
-def _pass_by_convexity_theorem(condition: Condition) -> Condition:
+def _pass_condition_by_convexity(condition: Condition) -> Condition:
     """Return a passed condition if first-order ones suffice; negative curvature is then a discretisation error."""
     if condition.result is _PASS or not condition.sufficient:
         return condition
@@ -321,7 +323,7 @@ def _pass_by_convexity_theorem(condition: Condition) -> Condition:
     return _replace_condition_result(condition, _INCONCLUSIVE, reason)
 
 
-def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
+def _pass_condition_by_lower_bound(condition: Condition) -> Condition:
     """Return a passed condition if no trajectory can have a lower cost; costates are then rounding errors."""
     if condition.result is _PASS:
         return condition

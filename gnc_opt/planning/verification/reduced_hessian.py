@@ -33,7 +33,12 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
-from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramPoint, compute_curvature, run_lanczos
+from gnc_opt.planning.optimality.kkt_system import (
+    NullSpace,
+    ProgramPoint,
+    compute_curvature_along_direction,
+    run_lanczos,
+)
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -104,7 +109,9 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
 
     Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
     """
-    meshes = {name: _refine_mesh_for_variations(phase.mesh) for name, phase in solution.phases.items()}
+    meshes = {
+        name: _increase_mesh_degrees_for_variations(phase.mesh) for name, phase in solution.phases.items()
+    }
     meshes |= {s.leg.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
     def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
@@ -167,11 +174,11 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
-        admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
+        admitted = (cone.contains_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
             place = _describe_largest_variation_component(cone.point, solution, found.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
-            if cone.has_curvature_of_dependent_rows(found.direction):
+            if cone.is_curvature_multiplier_dependent(found.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
             return make_second_order_condition(result, -found.value, place + reason)
     place = _describe_largest_variation_component(cone.point, solution, free.direction)
@@ -196,7 +203,7 @@ def _explain_inconclusive_curvature(curvature: Curvature, steep: float) -> str:
     )
 
 
-def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
+def _increase_mesh_degrees_for_variations(mesh: Mesh) -> Mesh:
     least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
@@ -208,7 +215,7 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     """
     singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
     limited = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
-    near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
+    near = np.convolve(s.compute_segment_maxima(limited), np.ones(3), "same") > 0
     edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
     fixed = impose_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
     if fixed or not (np.any(singular) or edges.size):
@@ -271,8 +278,8 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature, share = compute_curvature(hessian, direction)
-    whole = space.expand_variation(direction)
+    curvature, share = compute_curvature_along_direction(hessian, direction)
+    whole = space.expand_null_space_variation(direction)
     # Variations by integrals may have high peaks; these count only if nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
     largest = float(np.max(peaks[single], initial=0.0))

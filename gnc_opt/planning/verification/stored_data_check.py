@@ -48,7 +48,7 @@ def recompute_stored_data(solution: Solution) -> Solution:
     """
     problem = solution.need_problem("verify")
     _require_matching_problem_sizes(problem, solution)
-    stated = {name: _recompute_stored_phase(problem, solution, name) for name in problem.phases}
+    stated = {name: _recompute_stored_phase_data(problem, solution, name) for name in problem.phases}
     checked = replace(
         solution,
         maximised=problem.sense < 0,
@@ -99,7 +99,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         )
     for name, phase in checked.phases.items():
         for what in _EXACT:
-            values = (_list_stored_arrays(owner, what) for owner in (stored.phases[name], phase))
+            values = (_get_stored_value_arrays(owner, what) for owner in (stored.phases[name], phase))
             for a, b in zip(*values, strict=True):
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
@@ -159,7 +159,7 @@ def _find_largest_endpoint_cost_change(s: PhaseSamples, ends: EndGradients) -> f
     return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
 
 
-def _recompute_stored_phase(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+def _recompute_stored_phase_data(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
     phase = problem.phases[name]
     return replace(
         solution.phases[name],
@@ -207,7 +207,7 @@ def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, wit
     return NOTHING
 
 
-def _list_stored_arrays(phase: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _get_stored_value_arrays(phase: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(phase, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 

@@ -42,13 +42,13 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import bound_function_values, is_affine
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import (
     build_boundary_function,
-    build_phase_function,
+    build_function_along_phase,
     substitute_parameters,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -208,7 +208,7 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     return bool(np.all(values >= -ROUNDING * max_norm(values)))
 
 
-def compute_lower_bound(problem: Problem) -> float:
+def compute_cost_lower_bound(problem: Problem) -> float:
     """Return a lower bound of the minimised cost by interval arithmetic; -inf if unknown."""
     return float(_bound_endpoint_functions_from_below(problem, [problem.sense * problem.cost])[0])
 
@@ -223,7 +223,7 @@ def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence
         ]
         boxes += [*ends, *phase.time_ranges(), _bound_phase_integrals(problem, phase, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
-    return compute_value_ranges(function, [*boxes, q]).lower
+    return bound_function_values(function, [*boxes, q]).lower
 
 
 def attains_lower_bound(
@@ -234,7 +234,7 @@ def attains_lower_bound(
     magnitudes = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     if not all(magnitude <= tolerance * amount for magnitude in magnitudes):  # also for NaN
         return False
-    near = problem.sense * cost - compute_lower_bound(problem) <= tolerance**2 * amount
+    near = problem.sense * cost - compute_cost_lower_bound(problem) <= tolerance**2 * amount
     return bool(near and np.all(_compute_bound_excess(solution) <= tolerance**2))
 
 
@@ -266,7 +266,9 @@ def _compute_bound_excess(solution: Solution) -> Array:
         constraint_multipliers=np.zeros(len(terms)),
     )
     apart = recompute_stored_data(apart)
-    amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_largest_changes()[:-1]
+    amounts = EndPoints.from_solution(
+        apart, list(apart.samples().values())
+    ).compute_largest_endpoint_changes()[:-1]
     return np.asarray(
         (get_end_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
         / replace_zero_divisors_by_one(amounts)
@@ -299,12 +301,12 @@ def _bound_phase_integrals(problem: Problem, phase: Phase, q: Interval) -> Inter
     times = Interval(initial.lower, final.upper)
     column = phase.integrand_expression()
     integrands = phase.memoize(
-        "integrands by all", lambda: build_phase_function(problem, phase, "rates", column)
+        "integrands by all", lambda: build_function_along_phase(problem, phase, "rates", column)
     )
     arguments = [times, numbers.states, numbers.controls, _read_parameter_interval(phase), q]
-    rates = compute_value_ranges(integrands, arguments)
+    rates = bound_function_values(integrands, arguments)
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
     rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
-    return compute_value_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
+    return bound_function_values(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])

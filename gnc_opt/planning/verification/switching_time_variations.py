@@ -34,7 +34,7 @@ from gnc_opt.numerical_tolerances import (
     TINY,
 )
 from gnc_opt.planning.optimality.controllability_gramian import (
-    compute_final_state_response,
+    differentiate_final_state_by_controls,
     subdivide_mesh_segments,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
@@ -48,7 +48,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
 from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.verification.active_limits_and_touch_points import (
     compute_touch_point_lagrangian,
@@ -170,16 +170,16 @@ class ShiftedTrajectory:
         finals: dict[str, Array] = {}
         found: dict[str, list[Array]] = {}
         q = self.solution.parameter_values
-        q = q[:, None] + self._sum_variations_of_kind("parameters", "", amounts, q.size)
+        q = q[:, None] + self._sum_variations_of_quantity("parameters", "", amounts, q.size)
         for s in self.samples:
             phase, name = s.leg, s.leg.name
-            begin = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_kind(
+            begin = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_quantity(
                 "start", name, amounts, phase.states.size
             )
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
-            shifted = self._shift_switches_of_phase(s, amounts, q)
+            shifted = self._shift_switching_times_of_phase(s, amounts, q)
             x, integrals, extra, active_rows = shifted.integrate_phase(begin, self.scales.cost)
             rows += active_rows
             finals[name] = x
@@ -188,7 +188,7 @@ class ShiftedTrajectory:
             gap = s.lam[:, -1] - self.ends.final_state[name]
             lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
-            rows.append(_scale_active_limit_changes(x, phase.final_bounds, radius, s.state_scale))
+            rows.append(_scale_changes_at_active_limits(x, phase.final_bounds, radius, s.state_scale))
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
@@ -198,17 +198,17 @@ class ShiftedTrajectory:
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
         reach, box = self.scales.constraints[0], problem.get_boundary_constraint_bounds()
-        misses = np.vstack([*rows, _scale_active_limit_changes(psi, box, reach, changes)])
+        misses = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _sum_variations_of_kind(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
+    def _sum_variations_of_quantity(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
         for (*key, step), row in zip(self.end_and_parameter_variations, rows, strict=True):
             total += np.outer(step, row) if key == [kind, phase] else 0.0
         return total
 
-    def _shift_switches_of_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
+    def _shift_switching_times_of_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
         """Return a phase for amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
         name, problem = s.leg.name, self.solution.need_problem("verify")
         jumps = [
@@ -218,8 +218,10 @@ class ShiftedTrajectory:
         ]
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
-        times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_kind("times", name, amounts, 2)
+        functions = (
+            bind_free_parameter_values(problem, name, q, s.functions.weights) if q.size else s.functions
+        )
+        times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
 
@@ -261,7 +263,7 @@ class _ShiftedPhase:
         return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
 
     @cached_property
-    def common_steps(self) -> Array:
+    def steps_equal_in_all_columns(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
         same = np.all(self.step_times == self.step_times[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
@@ -270,7 +272,8 @@ class _ShiftedPhase:
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
         first, last = (
-            times[self.common_steps] for times in (self.step_times[:-1, 0], self.step_times[1:, 0])
+            times[self.steps_equal_in_all_columns]
+            for times in (self.step_times[:-1, 0], self.step_times[1:, 0])
         )
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
@@ -280,10 +283,10 @@ class _ShiftedPhase:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
         a, b = self.step_times[step], self.step_times[step + 1]
         middle = 0.5 * (a + b)
-        place = int(np.count_nonzero(self.common_steps[:step]))
+        place = int(np.count_nonzero(self.steps_equal_in_all_columns[:step]))
         found = []
         for k, t in enumerate((a, middle, b)):
-            if self.common_steps[step]:
+            if self.steps_equal_in_all_columns[step]:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
                 u = _evaluate_applied_controls(self.samples.leg, t, middle)
@@ -349,7 +352,7 @@ def _list_control_variations(
 ) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
     phase, own = s.leg, scales.phases[s.leg.name]
-    times, response = compute_final_state_response(s)
+    times, response = differentiate_final_state_by_controls(s)
     u = phase.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1)
@@ -368,7 +371,7 @@ def _list_control_variations(
 def _has_active_limits(s: PhaseSamples) -> bool:
     paths = s.functions.path_constraints(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
-    return bool(np.any(mask_limits_with_multipliers(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
+    return bool(np.any(mask_limits_with_multipliers(s, s.times)) or np.any(at_ends[s.pure_state_constraints]))
 
 
 def _build_end_and_parameter_variations(
@@ -376,23 +379,27 @@ def _build_end_and_parameter_variations(
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
-    found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _list_variations_not_at_limits(
+        "parameters", "", box, solution.parameter_values, np.diag(sizes), sizes
+    )
     for s in samples:
         phase, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _list_free_variations(
+        found += _list_variations_not_at_limits(
             "start", name, phase.initial_bounds, phase.x(phase.breaks[0]), starts, radius
         )
         if not np.any(phase.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
-            found += _list_free_variations("times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _list_variations_not_at_limits(
+                "times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts
+            )
     return found
 
 
-def _list_free_variations(
+def _list_variations_not_at_limits(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
@@ -401,7 +408,7 @@ def _list_free_variations(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _scale_active_limit_changes(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
+def _scale_changes_at_active_limits(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
     """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
 
     Those without reach are in shares of ``unreached`` (n,).

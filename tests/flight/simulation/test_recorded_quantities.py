@@ -149,10 +149,8 @@ def test_peaks_of_a_swing_and_a_fall_have_closed_forms(span):
 def test_what_is_kept_does_not_grow_with_the_run(campaign):
     assert campaign.samples.shape == (3, SAMPLES, 60)
     assert campaign.sample_times[[0, -1]] == pytest.approx([0.0, 30.0])
-    assert (
-        select_quantity_sample_steps(7).tolist() == list(range(8))
-        and select_quantity_sample_steps(864_000).size == SAMPLES
-    )
+    assert select_quantity_sample_steps(7).tolist() == list(range(8))
+    assert select_quantity_sample_steps(864_000).size == SAMPLES
 
 
 def test_quantities_change_no_bit_of_a_run(campaign):

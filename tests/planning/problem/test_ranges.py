@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import Interval, compute_value_ranges, find_monotone_states
+from testing.internals import Interval, bound_function_values, find_monotone_states
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -42,7 +42,7 @@ ends = st.tuples(numbers, numbers).map(sorted)
 @given(a=ends, b=ends, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
 def test_values_lie_in_their_range(name, a, b, shares) -> None:
     function = ca.Function("f", [X], [EXPRESSIONS[name]])
-    box = compute_value_ranges(function, [Interval(np.array([a[0], b[0]]), np.array([a[1], b[1]]))])
+    box = bound_function_values(function, [Interval(np.array([a[0], b[0]]), np.array([a[1], b[1]]))])
     for s, t in shares:
         at = [a[0] + s * (a[1] - a[0]), b[0] + t * (b[1] - b[0])]
         value = float(function(np.clip(at, *zip(a, b, strict=True))))  # rounding leads out of the range
@@ -62,7 +62,7 @@ def test_values_lie_in_their_range(name, a, b, shares) -> None:
     ],
 )
 def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lower, upper) -> None:
-    box = compute_value_ranges(
+    box = bound_function_values(
         ca.Function("f", [X], [expression]), [Interval(np.array([-1.0, 1.0]), np.array([0.5, 2.0]))]
     )
     assert box.lower[0] == pytest.approx(lower)
@@ -72,7 +72,7 @@ def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lowe
 def test_what_knows_no_limit_has_none() -> None:
     """Zero times a quantity without limits is zero; one without limits less itself may be anything."""
     function = ca.Function("f", [X], [ca.vertcat(0 * X[0], X[0] - X[0] * X[1])])
-    box = compute_value_ranges(function, [Interval(np.array([-np.inf, 1.0]), np.array([np.inf, 2.0]))])
+    box = bound_function_values(function, [Interval(np.array([-np.inf, 1.0]), np.array([np.inf, 2.0]))])
     np.testing.assert_array_equal(box.lower, [0.0, -np.inf])
     np.testing.assert_array_equal(box.upper, [0.0, np.inf])
 
@@ -81,7 +81,7 @@ def test_what_knows_no_limit_has_none() -> None:
 def test_what_leaves_the_numbers_may_be_anything_beyond(expression) -> None:
     """A division by zero, and a power beyond all numbers."""
     function = ca.Function("f", [X], [expression])
-    box = compute_value_ranges(function, [Interval(np.array([0.0, 1.0]), np.array([0.0, 1e200]))])
+    box = bound_function_values(function, [Interval(np.array([0.0, 1.0]), np.array([0.0, 1e200]))])
     assert box.upper[0] == np.inf
     assert box.lower[0] <= 2**2.5
 

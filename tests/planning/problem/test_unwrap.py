@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Interval, compile_phase_functions, free_interval, unwrap_angles
+from testing.internals import Interval, compile_phase_functions, unbounded_interval, unwrap_angles
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
@@ -28,7 +28,7 @@ def turned(rates: Rates, u: Array, bounds: Interval | None = None) -> Array:
     problem.phase("leg", model)
     functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
     x = np.zeros((len(values), u.shape[1]))
-    return unwrap_angles(functions, bounds or free_interval(len(u)), T[: u.shape[1]], x, u)
+    return unwrap_angles(functions, bounds or unbounded_interval(len(u)), T[: u.shape[1]], x, u)
 
 
 HEADING: dict[float, Rates] = {

@@ -99,7 +99,7 @@ def test_the_case_has_everything(case: tuple) -> None:
         assert part in labels
     assert "integral effort" not in labels
     assert len(set(transcription.variable_labels)) == transcription.n_variables
-    assert len(set(transcription.row_labels)) == transcription.n_constraints
+    assert len(set(transcription.constraint_row_labels)) == transcription.n_constraints
 
 
 def test_gradient(case: tuple) -> None:

@@ -131,11 +131,11 @@ LIMITS = LinearPathLimits.from_samples(flight(), np.array([True, True]))
 
 def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
     assert LIMITS.rows == {0: (0, 5), 1: (3,)}
-    assert LIMITS.linear_paths.tolist() == [True, False, False, True, False, True]
+    assert LIMITS.linear_path_constraints.tolist() == [True, False, False, True, False, True]
     assert LIMITS.slopes.tolist() == [[2.0] * 5, [0.0] * 5, [0.0] * 5, [-3.0] * 5, [0.0] * 5, X.tolist()]
     assert LinearPathLimits.from_samples(flight(), np.array([False, True])).rows == {1: (3,)}
     none = LinearPathLimits.from_samples(flight(), np.array([False, False]))
-    assert none.rows == {} and none.slopes.shape == (6, 5) and not none.linear_paths.any()
+    assert none.rows == {} and none.slopes.shape == (6, 5) and not none.linear_path_constraints.any()
 
 
 @pytest.mark.parametrize("u", [0.25, -0.7, 3.0])
@@ -272,7 +272,7 @@ TURNING = PhaseStructure(
 
 def test_one_constraint_determines_one_of_several_singular_controls() -> None:
     """That which holds it best; those at their limits, or on the sphere, are no others'."""
-    assert [TURNING.find_dependent_controls(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
+    assert [TURNING.find_controls_fixed_by_limits(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
 
 
 def test_controls_at_the_end_of_a_segment() -> None:

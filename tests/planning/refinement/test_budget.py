@@ -88,10 +88,10 @@ def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least(cart: go
 
 def test_work_of_a_share_counts_in_the_whole() -> None:
     whole = WorkBudget(8.0, spent=1.0)
-    part = whole.allot_share_of_total_work(0.25)
+    part = whole.allot_work_budget_share(0.25)
     part.record_work(0.5)
     assert (part.total, part.remaining_work, whole.spent) == (2.0, 1.5, 1.5)
-    assert whole.allot_share_of_total_work(1.0).total == 6.5
+    assert whole.allot_work_budget_share(1.0).total == 6.5
 
 
 @pytest.mark.parametrize("lost", [300, 3])

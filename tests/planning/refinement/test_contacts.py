@@ -240,16 +240,14 @@ def test_touches_stay_with_their_times() -> None:
     one = free.with_touch_point(1, 1.0, UP)
     two = one.with_touch_point(1, 3.0, UP)
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
-    assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_kinks(1)
-    assert (
-        two.merge_arcs() == two
-        and two.list_touch_times(1, UP) == [1.0, 3.0]
-        and two.list_touch_times(1, LOW) == []
-    )
+    assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_control_kinks(1)
+    assert two.merge_arcs() == two
+    assert two.list_touch_times(1, UP) == [1.0, 3.0]
+    assert two.list_touch_times(1, LOW) == []
     assert two.with_switch_times((0.0, 1.0, 1.0, 4.0)).without_subarc(1).touches == ((), ((1, UP),), ())
     held = two.with_inserted_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
-    assert held.has_only_kinks(1) and held.has_only_kinks(2)
+    assert held.has_only_control_kinks(1) and held.has_only_control_kinks(2)
     assert held.replace_subarc_by_touch(1).list_touch_times(1, UP) == [1.25, 3.0]
     assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
@@ -300,17 +298,17 @@ def test_what_vanishes_passes_its_touches_on() -> None:
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
     held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert [held.has_only_kinks(k) for k in (1, 2)] == [True, True] and [
+    assert [held.has_only_control_kinks(k) for k in (1, 2)] == [True, True] and [
         held.has_constraint_contact(k) for k in range(3)
     ] == [0, 1, 0]
-    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).has_only_kinks(1)
-    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).has_only_kinks(1)
+    for kinds, effects in ((((FREE, LOW), (FREE, UP)), (0, 2)), (((FREE, FREE), (FREE, UP)), (0, 0))):
+        assert not PhaseStructure((0.0, 1.0, 2.0), kinds, (), 1, 0, effects).has_only_control_kinks(1)
     both = PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, UP)), (), 1, 0, (0, 2))
-    assert not both.has_only_kinks(1)
+    assert not both.has_only_control_kinks(1)
     touch = PhaseStructure(
         (0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 2), ((), ((1, UP),), ())
     )
-    assert not touch.has_only_kinks(1)
+    assert not touch.has_only_control_kinks(1)
 
 
 @pytest.mark.parametrize("price", [1.0, 5.0])
@@ -356,29 +354,29 @@ def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.ContactNodes:
 def test_a_constraint_of_second_order_touches_or_stays() -> None:
     """Pushes at `FEW` nodes or fewer are a touch at their centre; at more, or beside a touch, an arc over all."""
     nodes = np.linspace(2.0, 8.0, 7)
-    few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
+    few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).add_contact_arcs(free(2), MESH)  # type: ignore[arg-type]
     assert few.times == (0.0, 3.0, 5.0, 10.0) and few.touches == ((), ((1, UP),), ((1, UP),), ())
-    one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
+    one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).add_contact_arcs(free(2), MESH)  # type: ignore[arg-type]
     assert one.list_touch_times(1, UP) == pytest.approx([3.75]) and one.kinds == ((FREE, FREE),) * 2
-    five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
+    five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).add_contact_arcs(free(2), MESH)  # type: ignore[arg-type]
     assert five.list_touch_times(1, UP) == [3.0, 7.0]
-    six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
+    six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).add_contact_arcs(free(2), MESH)  # type: ignore[arg-type]
     assert six.times == (0.0, 2.0, 7.5, 10.0) and [k[1] for k in six.kinds] == [FREE, UP, FREE]
     known = free(2).with_touch_point(1, 2.5, UP)
-    beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(known, MESH)  # type: ignore[arg-type]
+    beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contact_arcs(known, MESH)  # type: ignore[arg-type]
     assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.list_touch_times(1, UP)
-    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contacts(free(2).with_touch_point(1, 7.5, UP), MESH)  # type: ignore[arg-type]
+    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contact_arcs(free(2).with_touch_point(1, 7.5, UP), MESH)  # type: ignore[arg-type]
     assert later.times == (0.0, 4.5, 7.5, 10.0)
-    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(free(2).with_touch_point(1, 9.0, UP), MESH)  # type: ignore[arg-type]
+    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contact_arcs(free(2).with_touch_point(1, 9.0, UP), MESH)  # type: ignore[arg-type]
     assert far.list_touch_times(1, UP) == [3.0, 9.0]
 
 
 def test_a_constraint_of_third_order_touches_only() -> None:
-    added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).add_contacts(free(3), MESH)  # type: ignore[arg-type]
+    added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).add_contact_arcs(free(3), MESH)  # type: ignore[arg-type]
     assert added.list_touch_times(1, UP) == pytest.approx([5.0]) and added.kinds == ((FREE, FREE),) * 2
     for end in (0.0, 10.0):
         at_end = run([end, 5.0] if end == 0 else [5.0, end], [1, 0] if end == 0 else [0, 1])
-        assert at_end.add_contacts(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
+        assert at_end.add_contact_arcs(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
 
 
 def climb() -> go.Problem:

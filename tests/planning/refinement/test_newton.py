@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     are_gradients_independent,
     collocate_trajectory,
     compute_newton_step,
-    compute_simplified_step,
+    compute_simplified_newton_step,
     minimise_quadratic_model,
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
@@ -312,12 +312,12 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
     stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
     own = compute_newton_step(problem, stated, at) or pytest.fail("no step")
-    again = compute_simplified_step(problem, stated, at, own) or pytest.fail("no step")
+    again = compute_simplified_newton_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
     assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
     # Twice: the second one begins with the multipliers of the first one.
     moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
-    twice = compute_simplified_step(problem, stated, moved, again) or pytest.fail("no step")
+    twice = compute_simplified_newton_step(problem, stated, moved, again) or pytest.fail("no step")
     newer = compute_newton_step(problem, stated, moved) or pytest.fail("no step")
     assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))
 

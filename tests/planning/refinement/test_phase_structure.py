@@ -23,11 +23,12 @@ def made(*pieces: str, **more: Any) -> PhaseStructure:
 
 def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them() -> None:
     paths = {"n_controls": 2, "n_paths": 1}
-    assert made("iiui", **paths, effects=((), (), ((1, 0),), ())).find_dependent_controls(0) == {1}
-    assert made("iiui", **paths).find_dependent_controls(0) == {0, 1}
-    assert made("iiui", **paths, regular=(True, False, True, False)).find_dependent_controls(0) == {0}
-    assert made("iiiu", **paths, regular=(True, False, True, False)).find_dependent_controls(0) == {0, 1}
-    assert made("uuii", **paths).find_dependent_controls(0) == set()
+    assert made("iiui", **paths, effects=((), (), ((1, 0),), ())).find_controls_fixed_by_limits(0) == {1}
+    assert made("iiui", **paths).find_controls_fixed_by_limits(0) == {0, 1}
+    for pieces, found in (("iiui", {0}), ("iiiu", {0, 1})):
+        odd = made(pieces, **paths, regular=(True, False, True, False))
+        assert odd.find_controls_fixed_by_limits(0) == found
+    assert made("uuii", **paths).find_controls_fixed_by_limits(0) == set()
 
 
 def test_arcs_are_reported_by_name_and_touches_without_length() -> None:

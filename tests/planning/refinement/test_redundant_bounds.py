@@ -50,7 +50,7 @@ def test_a_polynomial_beyond_its_bound_has_an_error_and_refines_to_the_optimum()
     (error,) = estimate_segment_errors(coarse).values()
     low = error.samples.u_polynomial < 0
     assert np.any(low) and np.any(np.isnan(error.samples.functions.integrands(*_at(error, low))))
-    assert np.all(np.isfinite(error.largest_errors))
+    assert np.all(np.isfinite(error.largest_segment_errors))
     refined = go.solve(hop())
     assert go.verify(refined).ok and refined.objective == pytest.approx(by_shooting(), rel=1e-6)
 

@@ -293,7 +293,7 @@ def candidate(
         minimised_cost=cost,
         is_verdict_ok=passes,
         integrated_hamiltonian_excess=loss,
-        largest_error=error,
+        largest_local_error=error,
         stage="60",
     )
     made.solution = SimpleNamespace(
@@ -360,10 +360,8 @@ def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
 )
 def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
     found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
-    assert (
-        select_best_candidate(found, tol=1e-8) == 1
-        and _describe_lower_cost_on_coarse_mesh(found, found[1]) == hint
-    )
+    assert select_best_candidate(found, tol=1e-8) == 1
+    assert _describe_lower_cost_on_coarse_mesh(found, found[1]) == hint
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(

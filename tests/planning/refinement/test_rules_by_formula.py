@@ -34,7 +34,7 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
     leg.states = go.Model("two").states
     gains = np.array([[2.0, 0.0, 4.0], [0.0, 0.5, 0.0]])
     functions = fake(
-        input_jacobian=lambda t, x, u: np.repeat(gains[:, :, None], t.size, axis=2),
+        dynamics_control_jacobian=lambda t, x, u: np.repeat(gains[:, :, None], t.size, axis=2),
         state_rates=lambda t, x, u: 7.0 + gains[:, :2] @ u[:2],
     )
     np.testing.assert_allclose(estimate_required_controls(leg, functions), [1.0, 2 / 3, 0.0])
@@ -45,7 +45,7 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
 
 def test_violations_cost_their_multipliers_of_the_correct_sign() -> None:
     """Rows: above 1 by 2 at +3, below 0 by 1 at -4, both at the wrong sign, and an equality off by 1 and -2."""
-    samples = fake(segment_integrals=lambda v: np.cumsum(v, axis=1)[:, 1:])
+    samples = fake(integrate_over_segments=lambda v: np.cumsum(v, axis=1)[:, 1:])
     values = np.array([[3.0, -1.0], [3.0, -1.0], [6.0, 3.0]])
     bounds = interval([0.0, 0.0, 5.0], [1.0, 1.0, 5.0])
     multipliers = np.array([[3.0, -4.0], [-3.0, 4.0], [2.0, 7.0]])
@@ -92,7 +92,7 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
             n_subarcs=3,
             kinds=kinds,
             boundary_arc_controls={7: controls},
-            has_only_kinks=lambda k: k in kinks,
+            has_only_control_kinks=lambda k: k in kinks,
             find_changed_arcs=lambda k: [i for i in controls if kinds[k - 1][i] is not kinds[k][i]],
         )
         samples: Any = fake(leg=fake(breaks=np.linspace(0.0, 3.0, 13)))
@@ -131,7 +131,7 @@ def test_status_at_the_end_of_a_refinement() -> None:
         error: float, ok: Any = None, ended: Any = None, history: Any = status.CONVERGED, **given: Any
     ) -> Any:
         best = fake(
-            largest_error=error,
+            largest_local_error=error,
             is_objective_error_small=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
             solution=fake(structure=given.get("structure", ())),

@@ -135,8 +135,8 @@ def test_kink_on_a_mixed_constraint() -> None:
 
 def test_kinks_are_distinguished_from_switches() -> None:
     structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), (True, False), 2)
-    assert not structure.has_only_kinks(1)
-    assert structure.has_only_kinks(2)
+    assert not structure.has_only_control_kinks(1)
+    assert structure.has_only_control_kinks(2)
 
 
 def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:

@@ -299,12 +299,12 @@ RELEASED = ArcKind.RELEASED
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert SubarcMesh() == SubarcMesh(1, FIRST_DEGREE, 0, np.inf, ())
-    assert SubarcMesh(1, 6).refine_by_error_decades(np.array([0.1])) == SubarcMesh(1, 9)
-    assert SubarcMesh(2, 6).refine_by_error_decades(np.array([-1.0, 3.5])) == SubarcMesh(2, 10)
-    assert SubarcMesh(1, 11).refine_by_error_decades(np.array([8.0])) == SubarcMesh(1, ARC_MAX_DEGREE)
-    assert SubarcMesh(3, 7).refine_by_error_decades(np.array([0.0, -1.0, -9.0])) == SubarcMesh(3, 7)
+    assert SubarcMesh(1, 6).refine_subarc_to_reduce_errors(np.array([0.1])) == SubarcMesh(1, 9)
+    assert SubarcMesh(2, 6).refine_subarc_to_reduce_errors(np.array([-1.0, 3.5])) == SubarcMesh(2, 10)
+    assert SubarcMesh(1, 11).refine_subarc_to_reduce_errors(np.array([8.0])) == SubarcMesh(1, ARC_MAX_DEGREE)
+    assert SubarcMesh(3, 7).refine_subarc_to_reduce_errors(np.array([0.0, -1.0, -9.0])) == SubarcMesh(3, 7)
     many = SubarcMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
-    assert many.refine_by_error_decades(np.full(many.segments, 5.0)) == many
+    assert many.refine_subarc_to_reduce_errors(np.full(many.segments, 5.0)) == many
 
 
 def held_by(plan: ArcMesh) -> Any:

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.costates import (
     NlpIterate,
     PhaseCostates,
     _compute_boundary_costates,
-    compute_point_costates,
+    compute_costates_at_collocation_points,
     correct_constraint_arc_costates,
     invert_costate_map,
     split_duplicate_multipliers,
@@ -57,13 +57,14 @@ def test_costates_of_multipliers_of_costates(scheme: Scheme) -> None:
     values = np.random.default_rng(1).normal(size=(2, 7))
     ends = np.array([[1.0, 2.0], [3.0, 4.0]])
     pieces = invert_costate_map(part, values, ends)
-    again = compute_point_costates(part, rows_of(part, pieces))
+    again = compute_costates_at_collocation_points(part, rows_of(part, pieces))
     if scheme != "LGL":
         assert again == pytest.approx(values, abs=1e-12)
         if scheme == "LG":
             assert [p[:, -1].tolist() for p in pieces] == [[-1.0, -3.0], [-2.0, -4.0]]
         return
-    once_more = compute_point_costates(part, rows_of(part, invert_costate_map(part, again, ends)))
+    rows = rows_of(part, invert_costate_map(part, again, ends))
+    once_more = compute_costates_at_collocation_points(part, rows)
     assert once_more == pytest.approx(again, abs=1e-11)
 
 
@@ -233,7 +234,8 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     assert start.lam_x is not None and start.lam_g is not None
     assert np.max(np.abs(lam_x)) > 1e-2 and np.max(np.abs(lam_g)) > 1e-2
     assert start.lam_x == pytest.approx(lam_x, abs=1e-6)
-    arcs = [i for i, label in enumerate(transcription.row_labels) if label.startswith("length of arc")]
+    labels = transcription.constraint_row_labels
+    arcs = [i for i, label in enumerate(labels) if label.startswith("length of arc")]
     assert start.lam_g[arcs] == pytest.approx(0.0)  # lengths of arcs are no limits of the problem
     assert np.delete(start.lam_g, arcs) == pytest.approx(np.delete(lam_g, arcs), abs=1e-6)
 
@@ -264,7 +266,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
         assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
         assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
         if solution.scheme == "LG":
-            assert compute_point_costates(there, start.lam_g) == pytest.approx(leg.lam(t))
+            assert compute_costates_at_collocation_points(there, start.lam_g) == pytest.approx(leg.lam(t))
             impulses = start.lam_x[there.boundary_states]
             assert impulses[:, [0, -1]] == pytest.approx(leg.state_impulses[:, [0, -1]])
             assert not impulses[:, 1:-1].any()
@@ -296,7 +298,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
     assert start.lam_x[part.boundary_states] == pytest.approx(impulses)
     for k, end in enumerate(([2.0, 2.0], [-5.0, 1.0])):
         assert start.lam_g[part.dynamics_rows[k]][:, -1] == pytest.approx(-np.array(end))
-    assert compute_point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
+    assert compute_costates_at_collocation_points(part, start.lam_g) == pytest.approx(leg.point_costates)
     assert _compute_boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
 
 

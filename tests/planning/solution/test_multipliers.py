@@ -52,7 +52,7 @@ def test_a_badly_scaled_system_is_solved_as_a_dense_one() -> None:
     matrix, wanted = dense(hessian, rows), RNG.standard_normal(7)
     found = system(hessian, rows)
     assert not found.redundant
-    assert found.solve_system(matrix @ wanted) == pytest.approx(wanted, rel=1e-9)
+    assert found.solve_saddle_point_system(matrix @ wanted) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_redundant_rows_are_borne_and_the_answer_is_as_sharp_as_without_them() -> None:
@@ -61,7 +61,7 @@ def test_redundant_rows_are_borne_and_the_answer_is_as_sharp_as_without_them() -
         found = system(np.eye(2), rows)
         assert bool(found.redundant) is (len(rows) > 1)
         limits = 3 * np.asarray(rows, float)[:, 0]
-        solved = found.solve_system(np.concatenate([[5.0, -3.0], limits]))
+        solved = found.solve_saddle_point_system(np.concatenate([[5.0, -3.0], limits]))
         x, multipliers = solved[:2], solved[2:]
         assert x == pytest.approx([5.5, -2.5], abs=1e-12)
         assert x + np.asarray(rows).T @ multipliers == pytest.approx([5.0, -3.0], abs=1e-12)
@@ -73,7 +73,7 @@ def test_rows_that_are_nearly_the_same_are_not_redundant() -> None:
     found = system(np.eye(2), rows)
     assert not found.redundant
     wanted = np.array([1.0, 2.0, 3.0, 4.0])
-    assert found.solve_system(dense(np.eye(2), rows) @ wanted) == pytest.approx(wanted, abs=1e-6)
+    assert found.solve_saddle_point_system(dense(np.eye(2), rows) @ wanted) == pytest.approx(wanted, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -110,19 +110,19 @@ def test_a_free_direction_shows_among_redundant_rows_too() -> None:
 
 def test_rows_that_contradict_each_other_are_named() -> None:
     found = system(np.eye(2), [[1, 1], [1, 1]])
-    assert np.all(np.isfinite(found.solve_system(np.array([0.0, 0.0, 2.0, 2.0]))))
+    assert np.all(np.isfinite(found.solve_saddle_point_system(np.array([0.0, 0.0, 2.0, 2.0]))))
     with pytest.raises(go.GncOptError, match=r"contradict its constraints, at '(c|d)'"):
-        found.solve_system(np.array([0.0, 0.0, 2.0, 2.001]))
+        found.solve_saddle_point_system(np.array([0.0, 0.0, 2.0, 2.001]))
     # A difference of rounding is none.
-    assert found.solve_system(np.array([0.0, 0.0, 2.0, 2.0 + 1e-9]))[:2] == pytest.approx(
+    assert found.solve_saddle_point_system(np.array([0.0, 0.0, 2.0, 2.0 + 1e-9]))[:2] == pytest.approx(
         [1.0, 1.0], abs=1e-6
     )
-    assert found.solve_system(np.zeros(4)) == pytest.approx(np.zeros(4))
+    assert found.solve_saddle_point_system(np.zeros(4)) == pytest.approx(np.zeros(4))
 
 
 def test_a_single_unknown() -> None:
     found = SaddlePointSystem(scipy.sparse.csc_array(np.array([[4.0]])), 1, ["a"], "by hand")
-    assert not found.redundant and found.solve_system(np.array([2.0])).tolist() == [0.5]
+    assert not found.redundant and found.solve_saddle_point_system(np.array([2.0])).tolist() == [0.5]
 
 
 def test_scale_factors_bring_the_largest_entry_of_every_row_to_one() -> None:

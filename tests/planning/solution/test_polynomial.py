@@ -193,7 +193,7 @@ def test_the_same_places_of_all_segments_are_evaluated_from_within_each() -> Non
     nodes = (np.array([-0.5, 0.5]), np.array([-1.0, 0.0, 1.0]), np.array([-0.5, 0.5]))
     values = (np.array([[0.0, 1.0]]), np.array([[1.0, 0.0, 1.0]]), np.array([[5.0, 5.0]]))
     signal = PiecewisePolynomial(np.array([0.0, 1.0, 3.0, 4.0]), nodes, values)
-    found = signal.evaluate_in_segments([-1.0, 0.0, 1.0])
+    found = signal.evaluate_at_normalised_times([-1.0, 0.0, 1.0])
     assert found[0] == pytest.approx(np.array([[-0.5, 0.5, 1.5], [1.0, 0.0, 1.0], [5.0, 5.0, 5.0]]))
     assert signal([0.5, 1.0, 2.5, 3.0])[0] == pytest.approx([0.5, 1.0, 0.25, 5.0])
     assert signal([1.0, 3.0], "left")[0] == pytest.approx([1.5, 1.0])

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
-from testing.internals import free_interval, integrate_dynamics
+from testing.internals import integrate_dynamics, unbounded_interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -87,7 +87,8 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
 def test_integrals_per_segment() -> None:
     uneven = samples(CART, breaks=(1.0, 1.5, 4.0))
     values = np.vstack([uneven.times, -2 + 0 * uneven.times])
-    assert uneven.segment_integrals(np.abs(values)) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
+    integrals = np.array([[0.625, 6.875], [1.0, 5.0]])
+    assert uneven.integrate_over_segments(np.abs(values)) == pytest.approx(integrals)
 
 
 def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> None:
@@ -171,7 +172,7 @@ def test_finite_limits_one_side_each() -> None:
     found = Limits.from_interval(identity, interval([-np.inf, 0.0, 1.0], [2.0, np.inf, 3.0]))
     assert found.rows.tolist() == [1, 2, 0, 2] and found.sides.tolist() == [-1, -1, 1, 1]
     assert found.values.tolist() == [0, 1, 2, 3]
-    assert Limits.from_interval(identity, free_interval(0)).rows.size == 0
+    assert Limits.from_interval(identity, unbounded_interval(0)).rows.size == 0
     chosen = found.select_limits(np.array([3, 0, 3]))
     assert (chosen.rows.tolist(), chosen.sides.tolist(), chosen.values.tolist()) == (
         [2, 1, 2],
@@ -213,9 +214,8 @@ def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> 
             samples(CART, breaks=(0.0, 1.0)), Limits.from_interval(identity, interval([-9, -9], [9, upper]))
         )
         assert found.times.size == count
-    assert (
-        find_limit_violations(samples(CART), Limits.from_interval(identity, free_interval(2))).times.size == 0
-    )
+    unlimited = Limits.from_interval(identity, unbounded_interval(2))
+    assert find_limit_violations(samples(CART), unlimited).times.size == 0
 
 
 def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
-from testing.internals import Interval, compile_phase_functions, compute_control_scales, free_interval
+from testing.internals import Interval, compile_phase_functions, compute_control_scales, unbounded_interval
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -124,7 +124,7 @@ def controls(
     model.ode({x: u if rows == 1 else u[0]})
     problem, leg = one_phase("controls", model, 0.0, 1.0)
     problem.minimize(leg.integral(x**2))
-    box = bounds or free_interval(rows)
+    box = bounds or unbounded_interval(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)
     given = (np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature))
     return compute_control_scales(here, *given, terms, asked)

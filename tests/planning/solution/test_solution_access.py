@@ -208,7 +208,7 @@ def test_a_solution_has_no_violations() -> None:
 def test_violations_are_named_in_shares_of_their_scales_worst_first() -> None:
     found = broken(Status.INFEASIBLE, x={4: 50.0}, g={0: -0.25, 3: 0.5, 5: math.nan})
     tried, _ = attempt()
-    rows, names = tried.transcription.row_labels, tried.transcription.variable_labels
+    rows, names = tried.transcription.constraint_row_labels, tried.transcription.variable_labels
     above = 50.0 - 8.0 / tried.scaling.variables[4]
     assert names[4].startswith("a, ") and [v.name for v in found] == [
         rows[5],

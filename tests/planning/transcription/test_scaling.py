@@ -214,7 +214,7 @@ def test_rows_are_called_by_their_points(scheme: Scheme, points: list[str]) -> N
     """Every row of the dynamics by state and point; Lobatto's first row is its second point."""
     problem, leg = double_integrator(u=(-5.0, 5.0))
     problem.minimize(leg.final_state("x"))
-    labels = Transcription(problem, {"leg": go.Mesh.uniform(2, 3)}, scheme).row_labels
+    labels = Transcription(problem, {"leg": go.Mesh.uniform(2, 3)}, scheme).constraint_row_labels
     expected = [
         f"{state} defect, phase leg, segment {k}, {p}" for k in (1, 2) for p in points for state in ("x", "v")
     ]

@@ -17,7 +17,7 @@ from testing.internals import (
     Scheme,
     SmoothControl,
     Transcription,
-    build_polynomial_control_rows,
+    build_polynomial_control_constraints,
     check_number_of_arc_segments,
     choose_row_scales,
     choose_variable_scales,
@@ -115,7 +115,7 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
     assert sorted(rows) == list(range(20, 20 + part.n_rows))
     assert part.n_dynamics_rows == 2 * (11 + 4 * get_point_family(scheme).extra_rows)
     assert part.n_rows == part.n_dynamics_rows + 33
-    labels = part.list_row_labels("leg", ("x", "y"), ("a", "b", "c"))
+    labels = part.list_constraint_row_labels("leg", ("x", "y"), ("a", "b", "c"))
     assert len(labels) == part.n_rows and labels[part.dynamics_rows[2][1, 0] - 20].startswith(
         "y defect, phase leg, segment 3"
     )
@@ -243,7 +243,7 @@ def test_arcs_of_another_number_of_segments_are_refused() -> None:
 def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     """Over the last two segments of the first arc and the whole of it; they are orthonormal."""
     part = collocation("LG", Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (3,)), m=2)
-    columns, rows = build_polynomial_control_rows(SmoothControl(1, 1, 3, degree), part)
+    columns, rows = build_polynomial_control_constraints(SmoothControl(1, 1, 3, degree), part)
     assert columns.tolist() == part.point_controls[1, 2:9].tolist() and rows.shape == (7 - degree - 1, 7)
     t = part.normalised_point_times[2:9]
     for power in range(degree + 1):
@@ -297,8 +297,9 @@ def test_bounds_of_all_variables_and_rows() -> None:
     assert [rows.lower[i] for i in ends.values()] == [0.25, 1e-9, 1e-9, -np.inf]
     assert [rows.upper[i] for i in ends.values()] == [5.0, np.inf, np.inf, 7.0]
     assert program.constraint_rows.tolist() == [ends["constraint sum"]]
-    assert len(program.row_labels) == program.n_constraints
-    assert program.row_labels[-1] == "constraint sum" and len(program.variable_labels) == program.n_variables
+    assert len(program.constraint_row_labels) == program.n_constraints
+    assert program.constraint_row_labels[-1] == "constraint sum"
+    assert len(program.variable_labels) == program.n_variables
     assert program.variable_labels[-4:] == (
         "initial time, phase leg",
         "boundary 1 time, phase leg",

@@ -44,8 +44,8 @@ from gnc_opt.planning.verification.costate_conditions import _compute_wrong_sign
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     _extend_active_limits_along_arcs,
+    _list_nlp_variables_along_segments,
     _list_segment_states,
-    _list_variables_along_segments,
 )
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.reduced_hessian import (
@@ -190,7 +190,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     )
     samples = list(solution.samples().values())
     np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
-    found = EndPoints.from_solution(solution, samples).compute_largest_changes()
+    found = EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()
     np.testing.assert_allclose(found[[0, 1, 3]], [20.0, 14.0, 27.0])
     assert 0 < found[2] < 1e-3  # nothing changes it: a share of its size
 
@@ -441,7 +441,7 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
     collocation = next(iter(transcription.parts.values())).collocation
     lines = [
         list(map(int, line))
-        for line in _list_variables_along_segments(SimpleNamespace(transcription=transcription))[0]
+        for line in _list_nlp_variables_along_segments(SimpleNamespace(transcription=transcription))[0]
     ]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
     states = [list(map(int, row)) for k in range(2) for row in _list_segment_states(collocation, k)]

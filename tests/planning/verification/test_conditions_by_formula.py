@@ -101,7 +101,7 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
-    found = feasibility.compute_path_reach(s, own, t, x, u)
+    found = feasibility.compute_path_constraint_changes(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
@@ -284,9 +284,9 @@ def test_residual_of_the_adjoint_equation() -> None:
         lam_rate=np.vstack([2 * ones, ones]),
         state_multiplier=np.vstack([ones, 0 * ones]),
         functions=fake(state_gradient=lambda t, x, u, lam, mu: np.vstack([-0.5 * ones, mu])),
-        segment_integrals=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @ weights[2:]], axis=1),
-        running_integrals=lambda v: 1e3 * v,
-        segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
+        integrate_over_segments=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @ weights[2:]], axis=1),
+        cumulative_integrals=lambda v: 1e3 * v,
+        compute_segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
     )
     s.adjoint_residual = partial(PhaseSamples.adjoint_residual, s)
     own = scales(along=round_ellipsoid(2.0, 1.0))
@@ -318,7 +318,7 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
         "control_gradient": np.outer(gradient, row),
         "control_hessian": hessian,
         "functions": fake(is_quadratic=True),
-        "segment_integrals": lambda v: np.stack([2 * v[:, 0], 2 * v[:, -1]], axis=1),
+        "integrate_over_segments": lambda v: np.stack([2 * v[:, 0], 2 * v[:, -1]], axis=1),
         **described(),
     }
     return fake(**(values | changes))
@@ -364,7 +364,7 @@ def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.Monke
     np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 2 * 1.5 + 4 * 1.5)
     s.functions.separable_controls = np.array([True, False])
     np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 3.0)
-    sampled = controls._sample_separable_controls(s)
+    sampled = controls._draw_separable_controls_in_limits(s)
     np.testing.assert_allclose(sampled[0], -1 + 4 * controls.draw_low_discrepancy_points(9, 2)[0])
     np.testing.assert_allclose(sampled[1], 0.5)
     s.hamiltonian, s.x, s.lam = np.full(9, 10.0), None, None
@@ -419,17 +419,17 @@ def test_combined_conditions_take_the_decisive_part() -> None:
 
 def test_results_that_other_theorems_change() -> None:
     for change, extra, expected in (
-        (optimality_check._mark_curvature_as_multiplier_error, False, INCONCLUSIVE),
-        (optimality_check._pass_by_convexity_theorem, True, INCONCLUSIVE),
-        (optimality_check._pass_by_cost_lower_bound, True, INCONCLUSIVE),
-        (optimality_check._pass_by_cost_lower_bound, False, PASS),
+        (optimality_check._mark_negative_curvature_inconclusive, False, INCONCLUSIVE),
+        (optimality_check._pass_condition_by_convexity, True, INCONCLUSIVE),
+        (optimality_check._pass_condition_by_lower_bound, True, INCONCLUSIVE),
+        (optimality_check._pass_condition_by_lower_bound, False, PASS),
     ):
         found = change(condition("c", FAIL, sufficient=extra))
         assert found.result is expected and found.where.startswith("w; ")
         passed = condition("c", PASS, sufficient=extra)
         assert change(passed) is passed
     failed = condition("c", FAIL)
-    assert optimality_check._pass_by_convexity_theorem(failed) is failed
+    assert optimality_check._pass_condition_by_convexity(failed) is failed
     assert optimality_check._mark_zero_duration_phase(failed, "leg") is failed
     marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
@@ -440,10 +440,10 @@ def test_results_that_other_theorems_change() -> None:
 def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
     """A growth of 4 per halving reduces 0.5 * 4^5 to the tolerance 0.5; defects may grow less; infinite: unknown."""
     failed = condition("stationarity", FAIL)
-    assert external._is_interpolation_error(failed, 4.0)
-    assert not any(external._is_interpolation_error(failed, growth) for growth in (3.99, np.inf))
+    check = external._is_failure_due_to_interpolation
+    assert [check(failed, growth) for growth in (4.0, 3.99, np.inf)] == [True, False, False]
     slow = go.Condition("dynamics", FAIL, 15.9, 0.5, "w", "m")
-    assert external._is_interpolation_error(slow, 2.0) and not external._is_interpolation_error(slow, 1.99)
+    assert check(slow, 2.0) and not check(slow, 1.99)
 
 
 def test_directions_of_zero_vectors_are_the_previous_ones() -> None:
@@ -661,9 +661,9 @@ def worst_defect(
             lam=np.full((1, 4), 3.0),
             u=None,
             residual=v,
-            segment_integrals=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
-            running_integrals=lambda r: np.cumsum(r, axis=-1),
-            segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
+            integrate_over_segments=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
+            cumulative_integrals=lambda r: np.cumsum(r, axis=-1),
+            compute_segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
             resample_evenly=lambda count: sampled(values if scan is None else scan),
             **described(),
         )
@@ -789,7 +789,7 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     times, ones = np.array([0.0, 1.0, 2.0]), np.ones((3, 3))
     monkeypatch.setattr(module, "has_cost_curvature", lambda s: np.ones(3, dtype=bool))
     monkeypatch.setattr(
-        module, "compute_final_state_response", lambda s: (times, np.stack([ones, ones * times]))
+        module, "differentiate_final_state_by_controls", lambda s: (times, np.stack([ones, ones * times]))
     )
     hessian = np.einsum("ij,k->ijk", np.diag([4.0, 4.0, 0.0]), np.ones(3))
     s = fake(
@@ -822,7 +822,7 @@ def test_gains_of_controls_with_a_reference_of_their_distance_to_a_bound() -> No
 
 def test_lower_bounds_need_vanishing_costates_and_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Costates of 1e-5 * 4 of an amount 8, a cost of 3e-10 over its bound, with the tolerance 1e-5."""
-    monkeypatch.setattr(sufficient, "compute_lower_bound", lambda problem: -2.0)
+    monkeypatch.setattr(sufficient, "compute_cost_lower_bound", lambda problem: -2.0)
 
     def attains(
         lam: float = 1.9e-5, cost: float = 2.0 - 7e-10, excess: float = 0.0, sense: float = -1.0

@@ -17,13 +17,13 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
-from gnc_opt.planning.study.problem_relaxation import find_relaxations
-from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
+from gnc_opt.planning.study.problem_relaxation import list_problem_relaxations
+from gnc_opt.planning.verification.optimality_check import _pass_condition_by_convexity
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 from gnc_opt.planning.verification.sufficient_conditions import (
     _list_summands,
     attains_lower_bound,
-    compute_lower_bound,
+    compute_cost_lower_bound,
     has_unique_solution,
     is_convex,
 )
@@ -109,13 +109,13 @@ def test_a_curvature_that_fails_or_is_inconclusive_says_that_the_problem_is_conv
     made = go.Condition(
         "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
     )
-    assert _pass_by_convexity_theorem(made).result is go.ConditionResult.INCONCLUSIVE
-    assert "there; the problem is convex" in _pass_by_convexity_theorem(made).where
-    open_ = _pass_by_convexity_theorem(replace(made, result=go.ConditionResult.INCONCLUSIVE))
+    assert _pass_condition_by_convexity(made).result is go.ConditionResult.INCONCLUSIVE
+    assert "there; the problem is convex" in _pass_condition_by_convexity(made).where
+    open_ = _pass_condition_by_convexity(replace(made, result=go.ConditionResult.INCONCLUSIVE))
     assert open_.result is go.ConditionResult.INCONCLUSIVE and "the problem is convex" in open_.where
     passed, first = replace(made, result=go.ConditionResult.PASS), replace(made, sufficient=False)
-    assert _pass_by_convexity_theorem(passed) is passed
-    assert _pass_by_convexity_theorem(first) is first
+    assert _pass_condition_by_convexity(passed) is passed
+    assert _pass_condition_by_convexity(first) is first
 
 
 @pytest.mark.slow
@@ -481,7 +481,7 @@ def staged() -> go.Problem:
 
 
 def test_a_relaxation_states_all_that_concerns_its_states_and_nothing_else() -> None:
-    in_plane, other = find_relaxations(staged())
+    in_plane, other = list_problem_relaxations(staged())
     assert np.flatnonzero(in_plane.states["first"]).tolist() == [0, 1, 3, 4]  # the waypoint ties two axes
     assert np.flatnonzero(other.states["second"]).tolist() == [2, 5, 6]  # the band ties w to the third
     problem = in_plane.problem
@@ -513,7 +513,7 @@ def test_ties_by_constraints_may_be_cut_where_that_alone_frees_a_part() -> None:
     leg.bounds(turn=(-1.0, 1.0))
     leg.path("corridor", x + heading, upper=5.0)
     problem.minimize(leg.final_time)
-    (only,) = find_relaxations(problem)
+    (only,) = list_problem_relaxations(problem)
     assert only.problem.get_phase().model.states.names == ("heading",)
     assert only.problem.get_phase().path_labels == ()
 
@@ -522,7 +522,7 @@ def test_a_cost_that_needs_all_states_leaves_no_relaxation() -> None:
     _, leg = cart(time=3.0)
     weighed, other = one_phase("weighed", leg.model, 0.0, 1.0)
     weighed.minimize(other.final_state("q"))
-    assert find_relaxations(weighed) == []
+    assert list_problem_relaxations(weighed) == []
 
 
 @pytest.mark.parametrize(("given", "said"), [(3, "lower_bound"), ("x", "lower_bound")])
@@ -656,12 +656,12 @@ def two_phases(cost: Any) -> go.Problem:
     ],
 )
 def test_least_costs(cost: Any, least: float) -> None:
-    assert compute_lower_bound(two_phases(cost)) == pytest.approx(least)
+    assert compute_cost_lower_bound(two_phases(cost)) == pytest.approx(least)
 
 
 def test_what_is_maximised_is_bounded_from_above() -> None:
-    assert compute_lower_bound(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
-    assert compute_lower_bound(tracking(2.0)) == pytest.approx(7.0)
+    assert compute_cost_lower_bound(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
+    assert compute_cost_lower_bound(tracking(2.0)) == pytest.approx(7.0)
 
 
 def test_a_range_of_free_parameters_counts() -> None:
@@ -674,7 +674,7 @@ def test_a_range_of_free_parameters_counts() -> None:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0)
     problem.minimize(leg.integral(w) + leg.final_state("q") ** 2)
-    assert compute_lower_bound(problem) == -2.0
+    assert compute_cost_lower_bound(problem) == -2.0
 
 
 @pytest.mark.parametrize("amount", [1e-3, 1e3])

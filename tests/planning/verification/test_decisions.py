@@ -102,7 +102,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("get_end_gradients", fake(cost=0.0))
     result("choose_cell_edges_at_narrow_features", None)
     result("list_boundary_table_calls", ())
-    ends = fake(compute_largest_changes=lambda: np.ones(1))
+    ends = fake(compute_largest_endpoint_changes=lambda: np.ones(1))
     monkeypatch.setattr(check.EndPoints, "from_solution", lambda *_: ends)
     monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))
     result("has_costates", state["costates"])
@@ -110,9 +110,9 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("compare_costates", NOTHING, "i")
     names = ("dynamics", "limits", "boundary conditions", "cost")
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
-    functions = ("check_dynamics", "check_limits", "check_boundary_conditions", "check_reported_cost")
+    functions = ("dynamics", "trajectory_limits", "boundary_conditions", "reported_cost")
     for function, value in zip(functions, made, strict=True):
-        monkeypatch.setattr(check.feasibility, function, lambda *_, v=value: v)
+        monkeypatch.setattr(check.feasibility, f"check_{function}", lambda *_, v=value: v)
     result("check_stored_data", condition("stored numbers"))
     first = [
         condition(n, v)
@@ -171,8 +171,8 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
     ) -> tuple[Any, ...]:
         weak = np.array([False, bound is not None])
         cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
-        cone.admits_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
-        cone.has_curvature_of_dependent_rows = lambda direction: given.get("several", False)
+        cone.contains_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
+        cone.is_curvature_multiplier_dependent = lambda direction: given.get("several", False)
         monkeypatch.setattr(reduced_hessian, "find_cost_reducing_final_pulse", lambda cone, s: end)
         monkeypatch.setattr(
             reduced_hessian, "minimise_curvature", lambda p, held, *_: bound if np.all(held) else free

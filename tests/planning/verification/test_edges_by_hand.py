@@ -33,7 +33,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _ControlFit,
     _find_control_kinks,
     _Jump,
-    _locate_jump_times,
+    _refine_control_jump_times,
     fit_trajectory_polynomials,
 )
 from gnc_opt.planning.problem.bounds import Interval
@@ -233,7 +233,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
     u = np.where(t < switch, first, second)
     samples = SampledPhase(t, way(t)[None], u[None])
     jump = _Jump(1, 0.3, (0,))
-    _locate_jump_times(samples, _ControlFit(samples, [jump]), [jump], rates)
+    _refine_control_jump_times(samples, _ControlFit(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
 
 
@@ -541,7 +541,7 @@ def test_given_times_do_not_change_the_cost() -> None:
     )
     solution = recompute_stored_data(by_hand.solution(problem, base))
     found = EndPoints.from_solution(solution, list(solution.samples().values()))
-    assert found.compute_largest_changes() == pytest.approx(6.0)
+    assert found.compute_largest_endpoint_changes() == pytest.approx(6.0)
 
 
 def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import reformulate_samples
-from gnc_opt.planning.verification.feasibility import check_limits
+from gnc_opt.planning.verification.feasibility import check_trajectory_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 
@@ -77,7 +77,8 @@ def flown_by(
     )
     judged = recompute_stored_data(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
     samples = list(judged.samples().values())
-    return check_limits(judged, samples, Scales.from_solution(judged, samples), CONDITION_TOLERANCE)
+    scales = Scales.from_solution(judged, samples)
+    return check_trajectory_limits(judged, samples, scales, CONDITION_TOLERANCE)
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {

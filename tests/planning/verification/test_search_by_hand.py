@@ -159,26 +159,26 @@ def test_what_is_beyond_a_path_moves_to_it_the_shortest_way() -> None:
     s = flown(coupled(bowl, MIXED))
     found, at = search(s), np.array([1, 2, 3])
     shares = np.array([[0.5, 0.5, 0.5], [0.5, 0.9, 0.05]])
-    moved = found._restore_path_constraints(shares, at)
+    moved = found._project_onto_path_constraints(shares, at)
     expected = shares.copy()
     over = -4 + 4 * shares[0] + 8 * shares[1]
     for j, beyond in ((1, over[1] - 4.0),):
         expected[:, j] -= np.array([4.0, 8.0]) * beyond / 80.0
     np.testing.assert_allclose(moved, expected, atol=1e-8)
-    low = found._restore_path_constraints(np.array([[0.0], [0.0]]), np.array([0]))
+    low = found._project_onto_path_constraints(np.array([[0.0], [0.0]]), np.array([0]))
     np.testing.assert_allclose(low[:, 0], np.array([4.0, 8.0]) / 80.0, atol=1e-8)
     free = search(flown(coupled(bowl)))
-    assert free._restore_path_constraints(shares, at) is shares
+    assert free._project_onto_path_constraints(shares, at) is shares
 
 
 def test_restoring_follows_a_curve_and_keeps_the_bounds() -> None:
     """Into u^2 + w^2 <= 4 from (1.5, 2) along the ray, by Newton's method from outside; w cannot exceed 3."""
     s = flown(coupled(bowl, (lambda t, x, u, w: u**2 + w**2, -1.0, 4.0)), u=0.0, w=0.5)
-    shares = search(s)._restore_path_constraints(np.array([[3.5 / 4], [3.0 / 4]]), np.array([4]))
+    shares = search(s)._project_onto_path_constraints(np.array([[3.5 / 4], [3.0 / 4]]), np.array([4]))
     u, w = 4 * shares[0, 0] - 2, 4 * shares[1, 0] - 1
     assert u**2 + w**2 == pytest.approx(4.0, abs=1e-6) and w / u == pytest.approx(4 / 3, abs=1e-6)
     far = flown(coupled(bowl, (lambda t, x, u, w: w + 0.01 * u, 3.5, 99.0)), u=2.0, w=3.0)
-    least = search(far)._restore_path_constraints(np.array([[0.5], [0.5]]), np.array([4]))
+    least = search(far)._project_onto_path_constraints(np.array([[0.5], [0.5]]), np.array([4]))
     assert least[1, 0] == 1.0
 
 
@@ -328,7 +328,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     """Half of them are near the applied control, and half of both differ in u or in w alone; bounds are among them."""
     s = flown(coupled(bowl))
     found = search(s)
-    shares, at = found._sample_trial_points()[:2]
+    shares, at = found._sample_trial_controls()[:2]
     n = s.times.size
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
@@ -348,7 +348,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
         assert np.mean(row == 1.0) == pytest.approx(0.05 / 1.1, rel=0.05)
         inner = row[(row > 0) & (row < 1)]
         assert np.mean(inner) == pytest.approx(0.5, abs=0.01)
-    alone = search(s, [1])._sample_trial_points()[0]
+    alone = search(s, [1])._sample_trial_controls()[0]
     assert alone.shape == (1, at.size)
 
 
@@ -395,7 +395,7 @@ def test_slopes_that_are_no_numbers_point_nowhere() -> None:
     assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
     assert found.evaluate_hamiltonian(np.array([[0.5], [0.1]]), at) == [np.inf]
     shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
-    moved = found._restore_path_constraints(shares, np.array([3, 4]))
+    moved = found._project_onto_path_constraints(shares, np.array([3, 4]))
     np.testing.assert_array_equal(moved[:, 0], shares[:, 0])
     assert np.all(np.isfinite(moved)) and moved[0, 1] < 0.9
 

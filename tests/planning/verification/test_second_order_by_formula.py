@@ -78,7 +78,7 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(ends[-1], times[1])
     np.testing.assert_allclose(ends[11:15], [[0.94] * 3, [0.95, 1.0, 1.0], [1.0, 1.05, 1.0], [1.06] * 3])
     assert np.count_nonzero(np.all(ends == 1.5, axis=1)) == 2
-    np.testing.assert_array_equal(phase.common_steps[10:15], [True, False, False, False, True])
+    np.testing.assert_array_equal(phase.steps_equal_in_all_columns[10:15], [True, False, False, False, True])
     before = phase.evaluate_shifted_controls(10)
     first = phase.evaluate_shifted_controls(11)
     second = phase.evaluate_shifted_controls(12)
@@ -317,14 +317,14 @@ def test_lagrangian_of_two_linked_phases() -> None:
     problem = fake(sense=-1.0, get_boundary_constraint_bounds=lambda: interval([3.0, -9.0], [3.0, 1.0]))
     own = fake(
         samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))],
-        _shift_switches_of_phase=shift,
+        _shift_switching_times_of_phase=shift,
         solution=fake(
             parameter_values=np.zeros(0),
             phases=("a", "b"),
             need_problem=lambda _: problem,
             constraint_multipliers=np.array([3.0, 0.5]),
         ),
-        _sum_variations_of_kind=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
+        _sum_variations_of_quantity=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
         ends=fake(final_state={"a": np.array([1.0]), "b": np.array([4.0])}),
         scales=fake(
             cost=2.0,
@@ -355,7 +355,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     """Of two controls and four times, one is at a bound and one held at a time; the last response is zero."""
     times = np.array([0.0, 1.0, 2.0, 3.0])
     response = np.stack([np.ones((2, 4)), np.zeros((2, 4))])
-    monkeypatch.setattr(variations, "compute_final_state_response", lambda s: (times, response))
+    monkeypatch.setattr(variations, "differentiate_final_state_by_controls", lambda s: (times, response))
     held = np.array([[False, False, True, False], [False] * 4])
     monkeypatch.setattr(variations, "mask_controls_set_by_active_limits", lambda problem, s, at: held)
     u = np.array([[0.0, 1.0 - 4e-3, 0.0, 0.0], [0.0] * 4])

@@ -44,7 +44,7 @@ from gnc_opt.planning.verification.goh_transformation import (
 from gnc_opt.planning.verification.reduced_hessian import (
     _find_bang_bang_control,
     _has_partly_singular_segment,
-    _refine_mesh_for_variations,
+    _increase_mesh_degrees_for_variations,
     build_critical_cone,
 )
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
@@ -283,15 +283,15 @@ def test_orders_pieces_and_precedences() -> None:
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])
     np.testing.assert_allclose(pieces.controls[1], [-2, -2, 3, 3, -2])
     np.testing.assert_allclose(
-        switches.build_sequence_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_switch_sequence_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     np.testing.assert_allclose(
-        switches.build_sequence_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_switch_sequence_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     single = Switches.from_samples(
         flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), (line(-7.0, 3.0),) * 3, (U[0], (-2.0,) * 3))
     )
-    assert single.build_sequence_constraints((0, 1)).shape == (0, 4)
+    assert single.build_switch_sequence_constraints((0, 1)).shape == (0, 4)
 
 
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
@@ -339,8 +339,8 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
 
 
 def test_simple_meshes_get_thirty_points() -> None:
-    assert _refine_mesh_for_variations(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
-    fine = _refine_mesh_for_variations(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
+    assert _increase_mesh_degrees_for_variations(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
+    fine = _increase_mesh_degrees_for_variations(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
     assert (
         fine.degrees == (8, 9, 8, 8) and fine.movable == (1, 3) and fine.breaks == (0.0, 0.2, 0.5, 0.7, 1.0)
     )
@@ -350,16 +350,12 @@ def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
     assert explain_inapplicable_theorem([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
-    assert (
-        explain_inapplicable_theorem([s, between])
-        == "phase leg, t = 0.8 s, u: the control is between its limits"
-    )
+    text = "phase leg, t = 0.8 s, u: the control is between its limits"
+    assert explain_inapplicable_theorem([s, between]) == text
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
-    assert (
-        explain_inapplicable_theorem([PhaseSamples.from_phase(short, s.functions)])
-        == "phase leg has no length"
-    )
+    text = explain_inapplicable_theorem([PhaseSamples.from_phase(short, s.functions)])
+    assert text == "phase leg has no length"
 
 
 # First and second derivatives of bang-bang flows in switch times and start values.
@@ -992,10 +988,8 @@ def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
-    assert (
-        refine_mesh_at_singular_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
-        == (SINGULAR_SEGMENT_MIN_POINTS,) * n
-    )
+    refined = refine_mesh_at_singular_arc_ends(mesh, np.array([True, False, False]))
+    assert refined.degrees[:n] == (SINGULAR_SEGMENT_MIN_POINTS,) * n
     # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
     arc = refine_mesh_at_singular_arc_ends(mesh, np.array([False, True, True]))
     np.testing.assert_allclose(

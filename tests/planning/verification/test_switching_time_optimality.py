@@ -25,8 +25,8 @@ from gnc_opt.planning.verification.switching_time_variations import (
     _draw_unit_directions,
     _find_directions_keeping_end_conditions,
     _has_active_limits,
-    _list_free_variations,
-    _scale_active_limit_changes,
+    _list_variations_not_at_limits,
+    _scale_changes_at_active_limits,
     _ShiftedPhase,
 )
 
@@ -362,7 +362,7 @@ def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
     reach, unreached = np.array([0.5, 20.0, 0.25, 0.0, 2.0]), np.array([7.0, 7.0, 7.0, 3.0, 7.0])
     last = np.array([2.0, 1e-5, 5.0, 4.0, 1.0])
     values = np.stack([last + 1.0, last - 2.0, last], axis=1)
-    found = _scale_active_limit_changes(values, box, reach, unreached)
+    found = _scale_changes_at_active_limits(values, box, reach, unreached)
     np.testing.assert_allclose(found, np.outer([2.0, 0.05, 4.0, 1.0 / 3.0], [1.0, -2.0, 0.0]), atol=1e-12)
 
 
@@ -434,7 +434,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _list_free_variations(
+        found = _list_variations_not_at_limits(
             "start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3)
         )
         assert [key[:2] for key in found] == [("start", "leg")] * count

@@ -42,19 +42,19 @@ def resample_guesses(
     old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
 ) -> tuple[dict[str, GuessValue], Array]:
     """Return two guesses with different times on the union of their times, within the span of the second."""
-    if not any(_is_table_over_times(value, old_times) for value in old.values()):
+    if not any(_is_guess_table_over_times(value, old_times) for value in old.values()):
         return {**old, **new}, times
     shared = np.union1d(old_times, times)
     shared = shared[(shared >= times[0]) & (shared <= times[-1])]
     resampled = {
-        name: _interpolate_guess(value, given, shared) if _is_table_over_times(value, given) else value
+        name: _interpolate_guess(value, given, shared) if _is_guess_table_over_times(value, given) else value
         for values, given in ((old, old_times), (new, times))
         for name, value in values.items()
     }
     return resampled, shared
 
 
-def _is_table_over_times(value: GuessValue, times: Array) -> bool:
+def _is_guess_table_over_times(value: GuessValue, times: Array) -> bool:
     return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
 
 
@@ -72,7 +72,7 @@ def sample_guess(
     elif callable(value):
         sampled = np.stack([read_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):
-        sampled = _sample_straight_line(value, size, fractions, what)
+        sampled = _sample_linear_guess(value, size, fractions, what)
     else:
         sampled = _interpolate_guess_table(read_float_array(value, what, ProblemError), size, at, times, what)
     bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
@@ -81,7 +81,7 @@ def sample_guess(
     return sampled
 
 
-def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
+def _sample_linear_guess(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."

@@ -42,7 +42,7 @@ def build_phase_guess(phase: Phase, fractions: Array, *, perturbed: bool = True)
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.midpoint[:, None], fractions.size, axis=1)
     for vector in phase.vector_controls:
-        _set_constant_vector_control(phase, vector, times, (first, last), controls)
+        _guess_constant_vector_control(phase, vector, times, (first, last), controls)
     if perturbed:
         controls += build_control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
@@ -57,7 +57,7 @@ def build_phase_guess(phase: Phase, fractions: Array, *, perturbed: bool = True)
     return SampledGuess(times, states, controls)
 
 
-def _set_constant_vector_control(
+def _guess_constant_vector_control(
     phase: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
 ) -> None:
     """Set a vector control to the constant value with the mean rate between the ends, if large enough and feasible."""

@@ -9,12 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import (
-    read_integer,
-    read_optional_mapping,
-    read_positive_number,
-    require_type,
-)
+from gnc_opt.argument_checks import read_integer, read_optional_mapping, read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.casadi_function_evaluation import build_single_point_evaluator
@@ -37,7 +32,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.symbolic_expressions import build_phase_function
+from gnc_opt.planning.problem.symbolic_expressions import build_function_along_phase
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
@@ -128,7 +123,7 @@ def guess_from_simulation(
     q = problem.get_parameter_guess()
     p, start = selected.model.parameter_values, _read_initial_state(selected, initial)
     fast = build_single_point_evaluator(
-        build_phase_function(problem, selected, "rates", selected.model.derivative()), p, q
+        build_function_along_phase(problem, selected, "rates", selected.model.derivative()), p, q
     )
 
     def evaluate_rates(t: float, x: Array) -> Array:

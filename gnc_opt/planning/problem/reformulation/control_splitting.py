@@ -20,13 +20,13 @@ from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl
 from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import (
     Interval,
-    free_interval,
     intersect_bounds,
     split_bounds_by_name,
     stack_named_bounds,
+    unbounded_interval,
 )
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, is_affine, sample_expression_randomly
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -66,8 +66,8 @@ class ControlKink:
         for place, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
-                corners = evaluate_at_random_points(solve_affine_equation(gap, u))[0]
-                sign = kink.sense * domain.find_definite_sign(slope)
+                corners = sample_expression_randomly(solve_affine_equation(gap, u))[0]
+                sign = kink.sense * domain.find_expression_sign(slope)
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
@@ -87,7 +87,7 @@ class EquivalentBounds:
         controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
         boxes = dict[str, Interval]()
         for name, c in split_kinked_constraints(phase.paths, domain).items():
-            box = _read_control_bounds(c, controls, free_interval(len(symbols)))
+            box = _read_control_bounds(c, controls, unbounded_interval(len(symbols)))
             boxes |= {} if box is None else {name: box}
         return cls(boxes)
 
@@ -104,7 +104,9 @@ class EquivalentBounds:
         phase.numbers = replace(phase.numbers, controls=box)
         phase.paths = {name: c for name, c in phase.paths.items() if name not in self.boxes}
         texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
-        phase.restatement = ControlMap.identity(phase.model, texts).compose_with(phase.restatement)
+        phase.restatement = ControlMap.identity(phase.model, texts).compose_with_earlier_map(
+            phase.restatement
+        )
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -115,7 +117,7 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         if place is None or not is_affine(row, own[0]):
             return None
         line = ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
-        rest, slope = evaluate_at_random_points(line)[:, 0]
+        rest, slope = sample_expression_randomly(line)[:, 0]
         limits = constraint.interval.select_components([i])
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
@@ -193,10 +195,10 @@ class SplitControls(ReformulatedPhase):
             known = {b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in own}
             return replace_subexpressions_by_hash(replace_subexpressions_by_hash(expression, known), instead)
 
-        def substitute_parts(expression: Any) -> Any:
+        def substitute_split_controls(expression: Any) -> Any:
             return replace_subexpressions_by_hash(expression, instead)
 
-        model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_parts)
+        model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_split_controls)
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
         texts = tuple(_describe_control_split(c) for c, _ in splits)

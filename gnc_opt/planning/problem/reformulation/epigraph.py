@@ -23,7 +23,7 @@ from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, is_affine, sample_expression_randomly
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -51,7 +51,7 @@ def find_integrand_kinks(
     _, x, u, _ = phase.model.arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
     ignored, found = frozenset[int]().union(*(use.subexpression_hashes for use in tables)), {}
-    wanted = find_integral_cost_signs(problem, phase)
+    wanted = find_minimised_or_maximised_integrals(problem, phase)
     for name, (_, integrand) in phase.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         nodes = [node for node in nodes if ca.depends_on(node, ca.vertcat(x, u))]
@@ -66,7 +66,7 @@ def find_convex_kinks(
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.compute_monotonicity_signs(expression, nodes), strict=True):
         own = sense * direction
-        kink = Extremum(node, own, (find_extremum_arguments(node, own, domain) if own else None) or [])
+        kink = Extremum(node, own, (find_max_or_min_arguments(node, own, domain) if own else None) or [])
         if len(kink.pieces) > 1 and not _is_kink_smoothed(expression, kink):
             yield kink
 
@@ -83,7 +83,7 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
         at_corner = ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
-        slopes, here, *others = evaluate_at_random_points(at_corner)
+        slopes, here, *others = sample_expression_randomly(at_corner)
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
@@ -92,7 +92,7 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def find_integral_cost_signs(problem: ProblemData, phase: Phase) -> dict[str, int]:
+def find_minimised_or_maximised_integrals(problem: ProblemData, phase: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.from_boundary_variables(problem)
     terms = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
@@ -103,7 +103,7 @@ def find_integral_cost_signs(problem: ProblemData, phase: Phase) -> dict[str, in
     for name, (symbol, _) in phase.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.find_definite_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        own = {domain.find_expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
 
@@ -133,14 +133,14 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Symbo
         if place in seen or place in ignored:
             continue
         seen.add(place)
-        if _read_extremum_terms(node, domain) is not None:
+        if _read_max_or_min_arguments(node, domain) is not None:
             found[place] = node
         else:
             waiting += [node.dep(i) for i in range(node.n_dep())]
     return list(found.values())
 
 
-def find_extremum_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+def find_max_or_min_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a scalar; None if there are none."""
     waiting, found = [expression], dict[int, Any]()
     while waiting:
@@ -148,14 +148,14 @@ def find_extremum_arguments(expression: Any, sense: int, domain: SymbolRanges) -
         if is_free_of_kinks(node):
             found[node.element_hash()] = node
             continue
-        alternatives = _replace_kinks_by_arguments(node, sense, domain)
+        alternatives = _split_kinks_into_smooth_expressions(node, sense, domain)
         if alternatives is None or len(alternatives) + len(waiting) + len(found) > KINK_MAX_PIECES:
             return None
         waiting = alternatives + waiting
     return list(found.values())
 
 
-def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+def _split_kinks_into_smooth_expressions(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return the expressions with one argument each in place of their outermost kinks; None if not their extremum.
 
     A scalar that is affine and monotone in extrema is the extremum of its values at the arguments.
@@ -169,8 +169,8 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     )
     if not nodes or not is_affine(of_z, z):
         return None
-    extrema = [_read_extremum_terms(node, domain) for node in nodes]
-    signs = [domain.find_definite_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
+    extrema = [_read_max_or_min_arguments(node, domain) for node in nodes]
+    signs = [domain.find_expression_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
@@ -180,12 +180,12 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     ]
 
 
-def _read_extremum_terms(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
+def _read_max_or_min_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return 1 for a maximum, -1 for a minimum, with its arguments; None for other nodes."""
     operation = node.op()
     if operation == ca.OP_FABS:
         inner = node.dep(0)
-        return 1, [inner] if domain.find_definite_sign(inner) > 0 else [inner, -inner]
+        return 1, [inner] if domain.find_expression_sign(inner) > 0 else [inner, -inner]
     if operation == ca.OP_FMAX:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
@@ -208,8 +208,8 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = evaluate_at_random_points(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.find_definite_sign(across) * domain.find_definite_sign(up)
+        left = sample_expression_randomly(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
+        sense = domain.find_expression_sign(across) * domain.find_expression_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None
@@ -271,7 +271,9 @@ class EndpointEpigraph:
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         phase = next(iter(problem.phases.values()))
-        phase.restatement = ControlMap.identity(phase.model, self.texts).compose_with(phase.restatement)
+        phase.restatement = ControlMap.identity(phase.model, self.texts).compose_with_earlier_map(
+            phase.restatement
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,11 +304,11 @@ def split_kinked_constraints(
     constraints: Mapping[str, Constraint], domain: SymbolRanges
 ) -> dict[str, Constraint]:
     """Return the constraints of which rows are extrema, with smooth rows in their place."""
-    split = {name: _split_kinked_constraint(c, domain) for name, c in constraints.items()}
+    split = {name: _split_nonsmooth_constraint(c, domain) for name, c in constraints.items()}
     return {name: c for name, c in split.items() if c is not None}
 
 
-def _split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
+def _split_nonsmooth_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     changed = False
@@ -314,7 +316,7 @@ def _split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Co
         ca.vertsplit(constraint.expression), constraint.interval.lower, constraint.interval.upper, strict=True
     ):
         sense = int(np.isfinite(upper)) - int(np.isfinite(lower))  # 0 with limits on both sides
-        own = find_extremum_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
+        own = find_max_or_min_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
         changed |= own is not None
         for e in own or [row]:
             if own is None or not (e.is_constant() and lower <= float(e) <= upper):

@@ -22,7 +22,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
     find_vector_substitution,
-    remove_norm_roots,
+    remove_square_roots_from_norms,
 )
 from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
 
@@ -50,7 +50,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for phase in twin.phases.values():
-        rootless = problem.memoize(("rootless", phase.name), partial(remove_norm_roots, phase))
+        rootless = problem.memoize(("rootless", phase.name), partial(remove_square_roots_from_norms, phase))
         phase.paths |= rootless
         box = find_nonimplied_bounds(problem, phase)
         signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
@@ -58,7 +58,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         while (form := problem.memoize(("form", *key), partial(find_vector_substitution, phase))) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
-            key = _reformulate_kinks_of_kind(problem, phase, key, kind)
+            key = _reformulate_nonsmooth_terms(problem, phase, key, kind)
         keys.append(key)
     ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
@@ -76,7 +76,7 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     return form.cache_key if form.texts else ()
 
 
-def _reformulate_kinks_of_kind(
+def _reformulate_nonsmooth_terms(
     problem: ProblemData,
     phase: Phase,
     key: tuple[Any, ...],

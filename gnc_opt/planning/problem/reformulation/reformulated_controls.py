@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, gues
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseBoundsAndGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.symbolic_expressions import build_phase_function
+from gnc_opt.planning.problem.symbolic_expressions import build_function_along_phase
 
 
 def collect_variable_names(model: Model) -> frozenset[str]:
@@ -67,12 +67,12 @@ class ReformulatedPhase:
         phase.model = self.model.with_parameters(**known)
         phase.numbers = numbers
         phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
-        phase.restatement = self.restatement.compose_with(phase.restatement)
+        phase.restatement = self.restatement.compose_with_earlier_map(phase.restatement)
 
 
 def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:
     """Return the values of a column along the guess of a phase as a function of times."""
-    function = build_phase_function(problem, stated, "guessed", column)
+    function = build_function_along_phase(problem, stated, "guessed", column)
     q = problem.get_parameter_guess()
 
     def evaluate_expression_at_times(times: Array) -> Array:

@@ -41,12 +41,12 @@ from gnc_opt.planning.problem.bounds import (
     stack_named_bounds,
 )
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import is_affine, sample_expression_randomly
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import (
-    compute_fixed_vector_length,
+    compute_vector_length_from_equality,
     find_sum_of_squares_variables,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_controls import (
@@ -146,7 +146,7 @@ def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[floa
     return (float(least), float(most)) if ends[1] >= 0 else None
 
 
-def remove_norm_roots(phase: Phase) -> dict[str, Constraint]:
+def remove_square_roots_from_norms(phase: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in phase.paths.items():
@@ -353,7 +353,7 @@ def _reformulate_path_constraints(
     for row in rows:
         expression = _divide_cone_constraint_by_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
-            on_sphere |= not _is_satisfied_by_shorter_vectors(expression, magnitude, row.interval)
+            on_sphere |= not _is_constraint_met_by_shorter_vectors(expression, magnitude, row.interval)
             expression = _linearise_squared_magnitude_limit(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
@@ -363,7 +363,7 @@ def _divide_cone_constraint_by_magnitude(expression: Any, limits: Interval, magn
     """Return a row with zero limits (a cone), divided by the magnitude if that is a factor."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
-    is_cone = is_cone and not np.any(evaluate_at_random_points(ca.substitute(expression, magnitude, 0.0)))
+    is_cone = is_cone and not np.any(sample_expression_randomly(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
@@ -375,7 +375,7 @@ def _linearise_squared_magnitude_limit(expression: Any, limits: Interval, magnit
     """
     ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
     at_one = ca.substitute(expression, magnitude, 1.0)
-    left, whole = evaluate_at_random_points(ca.vertcat(expression - magnitude**2 * at_one, expression))
+    left, whole = sample_expression_randomly(ca.vertcat(expression - magnitude**2 * at_one, expression))
     if len(ends) != 1 or not ends[0] > 0 or not np.all(np.abs(left) <= EQUAL * np.abs(whole)):
         return expression
     most = float(np.sqrt(ends[0]))
@@ -383,7 +383,7 @@ def _linearise_squared_magnitude_limit(expression: Any, limits: Interval, magnit
     return 2 * most * magnitude * root - most**2
 
 
-def _is_satisfied_by_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
+def _is_constraint_met_by_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
     """Return whether every shorter vector also satisfies the limits of a scalar expression, tested numerically."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
@@ -444,7 +444,7 @@ def _find_unit_vectors(phase: Phase) -> Iterator[tuple[str, str, str]]:
         if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
         rows, constant = find_sum_of_squares_variables(phase, constraint.expression)
-        length = compute_fixed_vector_length(constraint.interval, constant)
+        length = compute_vector_length_from_equality(constraint.interval, constant)
         places = [row - phase.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():
@@ -468,5 +468,5 @@ def _find_magnitudes_of_unit_vector(phase: Phase, name: str, label: str) -> Iter
         if own.size > 1 or phase.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
             continue
         affine = is_affine(ca.vertcat(rest, slope), symbol)
-        if affine and not np.any(evaluate_at_random_points(ca.substitute(slope, symbol, 0.0))):
+        if affine and not np.any(sample_expression_randomly(ca.substitute(slope, symbol, 0.0))):
             yield own.name

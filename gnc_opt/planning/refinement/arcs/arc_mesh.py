@@ -72,7 +72,7 @@ class SubarcMesh:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_by_error_decades(self, decades: Array) -> SubarcMesh:
+    def refine_subarc_to_reduce_errors(self, decades: Array) -> SubarcMesh:
         """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, the segments with the largest positive decades are halved;
@@ -201,7 +201,9 @@ class ArcMesh:
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.n_subarcs)
-        movable = tuple(self.subarc_boundary_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
+        movable = tuple(
+            self.subarc_boundary_breaks[k] for k in inner if not self.structure.has_only_control_kinks(k)
+        )
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
@@ -281,7 +283,7 @@ class ArcMesh:
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
                 if (
-                    i not in self.structure.find_dependent_controls(int(k))
+                    i not in self.structure.find_controls_fixed_by_limits(int(k))
                     and r.smooth
                     and r.smooth < r.segments * r.degree - 1
                 ):
@@ -305,7 +307,7 @@ def _read_subarc_mesh(mesh: Mesh, first: int, last: int, coarsest: SubarcMesh) -
 def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int, points: float) -> SubarcMesh:
     kinds, share = structure.kinds[subarc], structure.subarc_lengths[subarc] / structure.subarc_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
-    if singular - structure.find_dependent_controls(subarc):
+    if singular - structure.find_controls_fixed_by_limits(subarc):
         return SubarcMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.control_arc_kinds[:, subarc]:
         degree = FIRST_DEGREE if structure.has_constraint_contact(subarc) else INTERIOR_DEGREE

@@ -95,7 +95,7 @@ class PhaseStructure:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
-    def truncate_before(self, time: float) -> PhaseStructure:
+    def truncate_arcs_before(self, time: float) -> PhaseStructure:
         """Return the structure after a time (s)."""
         if time <= self.times[0]:
             return self
@@ -103,7 +103,7 @@ class PhaseStructure:
         times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
         return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
 
-    def find_dependent_controls(self, subarc: int) -> set[int]:
+    def find_controls_fixed_by_limits(self, subarc: int) -> set[int]:
         """Return the controls that active state bounds and path constraints determine in a subarc.
 
         Of several singular controls, a limit determines its first boundary control that no other limit determines.
@@ -125,7 +125,7 @@ class PhaseStructure:
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
 
-    def has_only_kinks(self, boundary: int) -> bool:
+    def has_only_control_kinks(self, boundary: int) -> bool:
         """Return whether controls have kinks only, and no jumps, at the boundary before a subarc.
 
         This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
@@ -137,7 +137,7 @@ class PhaseStructure:
         return not self.touches[boundary] and all(
             (
                 self.regular[i]
-                or self._is_kept_by_regular_controls(i, boundary)
+                or self._is_constraint_set_by_regular_controls(i, boundary)
                 or self.has_saturated_control(i, boundary)
             )
             and not (before[i].is_at_limit and after[i].is_at_limit)
@@ -150,7 +150,7 @@ class PhaseStructure:
         singular = [k for k in sides if self.kinds[k][row] is ArcKind.SINGULAR]
         if row >= self.n_controls or len(singular) != 1:
             return False
-        if row not in self.find_dependent_controls(singular[0]):
+        if row not in self.find_controls_fixed_by_limits(singular[0]):
             return False
         bound = self.kinds[sum(sides) - singular[0]]
         kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
@@ -217,7 +217,7 @@ class PhaseStructure:
                 beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside
 
-    def _is_kept_by_regular_controls(self, row: int, boundary: int) -> bool:
+    def _is_constraint_set_by_regular_controls(self, row: int, boundary: int) -> bool:
         """Return whether a state constraint determines only regular controls, at one side of a boundary."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         linear = any(
@@ -290,7 +290,7 @@ class PhaseStructure:
     def with_inserted_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
         start, end = self._snap_time_to_boundary(start), self._snap_time_to_boundary(end)
-        times, kinds, touches = self._insert_boundaries(start, end)
+        times, kinds, touches = self._insert_subarc_boundaries(start, end)
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
@@ -303,7 +303,7 @@ class PhaseStructure:
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         time = self._snap_time_to_boundary(time)
-        times, kinds, touches = self._insert_boundaries(time)
+        times, kinds, touches = self._insert_subarc_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
         return replace(self, times=times, kinds=kinds, touches=tuple(touches)).merge_arcs()
 
@@ -312,7 +312,9 @@ class PhaseStructure:
         nearest = min(self.times, key=lambda t: abs(t - time))
         return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
 
-    def _insert_boundaries(self, *new: float) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
+    def _insert_subarc_boundaries(
+        self, *new: float
+    ) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
         """Return times, kinds and touches with further boundaries between subarcs of the same kinds."""
         times, known = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
@@ -322,7 +324,7 @@ class PhaseStructure:
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of controls and active limits, with the labels of all rows; touches have zero length."""
         found = []
-        determined = [self.find_dependent_controls(k) for k in range(self.n_subarcs)]
+        determined = [self.find_controls_fixed_by_limits(k) for k in range(self.n_subarcs)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self.n_controls:

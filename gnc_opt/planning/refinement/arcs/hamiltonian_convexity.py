@@ -118,7 +118,7 @@ class LinearPathLimits:
         return cls(samples, found, slopes)
 
     @property
-    def linear_paths(self) -> Mask:
+    def linear_path_constraints(self) -> Mask:
         """Path constraints that are contained in ``rows``, (n_paths,)."""
         found = [row for rows in self.rows.values() for row in rows]
         return np.isin(np.arange(self.slopes.shape[0]), found)

@@ -62,7 +62,7 @@ class ContactNodes:
     times: Array
     scaled_multipliers: Array
 
-    def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    def add_contact_arcs(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
         held, order = self.scaled_multipliers > 0, structure.orders[self.row]
         nodes, (first, last) = np.flatnonzero(held), samples.leg.breaks[[0, -1]]
         touches = structure.list_touch_times(self.row, self.kind)
@@ -133,7 +133,7 @@ class ContactNodes:
         switches = []
         for k in range(1, structure.n_subarcs):
             at = structure.times[k]
-            if abs(at - time) >= reach or structure.has_only_kinks(k):
+            if abs(at - time) >= reach or structure.has_only_control_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.find_changed_arcs(k) if i in boundary_arc_controls]
@@ -251,7 +251,7 @@ def add_constraint_contacts(
             effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
     structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
-        structure = run.add_contacts(structure, samples)
+        structure = run.add_contact_arcs(structure, samples)
     return structure
 
 
@@ -268,12 +268,14 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
 # --- corrections ----------------------------------------------------------------------------------------------
 
 
-def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def add_missing_constraint_contact(
+    constraints: StateConstraints, plan: ArcMesh
+) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact at the largest missing multiplier and the action, or None."""
     s, structure = constraints.samples, plan.structure
     runs = _find_new_contact_nodes(constraints, structure)
     for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
-        added = run.add_contacts(structure, s)
+        added = run.add_contact_arcs(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.scaled_multipliers))]
             label = (*s.leg.path_labels, *s.leg.states.labels)[run.row - structure.n_controls]

@@ -72,7 +72,7 @@ def detect_phase_structure(
         for path in limits.rows[i]:
             effects[path] = ((i, int(np.sign(np.sum(limits.slopes[path])))),)
         if affine[i]:
-            _replace_bounds_by_tighter_paths(limits, i, rows[i], paths, held[i])
+            _replace_bounds_by_path_constraints(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(phase.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_classify_state_constraint_arcs(samples, controls, determined)]:
@@ -123,7 +123,7 @@ def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float,
     return found
 
 
-def _replace_bounds_by_tighter_paths(
+def _replace_bounds_by_path_constraints(
     limits: LinearPathLimits,
     i: int,
     labels: KindArray,

@@ -43,7 +43,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
-    add_missing_contact,
+    add_missing_constraint_contact,
     replace_saturated_arc_controls,
 )
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
@@ -66,7 +66,7 @@ def correct_arc_structure(
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
     for correct in (
         _remove_zero_length_subarc,
-        add_missing_contact,
+        add_missing_constraint_contact,
         _add_saturated_arc,
         replace_saturated_arc_controls,
     ):
@@ -74,7 +74,7 @@ def correct_arc_structure(
             structure, action = correct(c, plans[name])
             if structure is not None:
                 return {**plans, name: plans[name].replace_control_structure(structure)}, action
-    adjusted = {name: _move_kinks_and_refine(c, plans[name], tol) for name, c in constraints.items()}
+    adjusted = {name: _move_kinks_and_refine_subarcs(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
@@ -85,7 +85,9 @@ def correct_arc_structure(
     return plans, ""
 
 
-def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
+def _move_kinks_and_refine_subarcs(
+    constraints: StateConstraints, plan: ArcMesh, tol: float
+) -> tuple[ArcMesh, str]:
     """Move kinks to where the solution has them and refine subarcs with large errors."""
     moved = move_control_kinks(constraints, plan)
     raised = refine_arc_mesh_by_residuals(constraints.samples, plan, tol)
@@ -135,7 +137,7 @@ def _insert_arc_at_largest_violation(
     if not violation.size or violation.max() < GONE:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
-    start, end = find_violation_interval(samples.times, violation[i])
+    start, end = find_largest_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     limits = find_linear_path_constraints(samples)
     extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
@@ -164,7 +166,7 @@ def _compute_sign_and_bound_violations(
     kinds = kinds[: pull.shape[0]]
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    linear = find_linear_path_constraints(samples).linear_paths
+    linear = find_linear_path_constraints(samples).linear_path_constraints
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(mask_affine_controls(samples), linear)[:, None]
     curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
@@ -189,7 +191,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
     singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, subarcs]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
-    left_open = zip(plan.resolutions, compute_singular_arc_gradients(samples, plan), strict=True)
+    left_open = zip(plan.resolutions, compute_singular_hamiltonian_gradients(samples, plan), strict=True)
     stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[subarcs]
     jumps = np.where(gain > 0, at_lower, at_upper)
     reached = singular & stuck & mask_affine_controls(samples)[:, None] & jumps
@@ -215,7 +217,7 @@ def clear_violations_near_switches(violation: Array, kinds: KindArray | Array) -
             violation[first:last] = 0.0
 
 
-def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
+def find_largest_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
     """Return the interval of the largest violation, between zeros found by linear interpolation of the samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j][-1:], fine[fine > j][:1]
@@ -238,7 +240,7 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.n_subarcs):
-        if structure.has_only_kinks(boundary):
+        if structure.has_only_control_kinks(boundary):
             wanted = [
                 find_junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
@@ -322,10 +324,10 @@ def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: floa
     weights = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint contain differences of rounding errors that grow on finer subarcs.
     contact = np.array([plan.structure.has_constraint_contact(k) for k in range(plan.structure.n_subarcs)])
-    residual = np.where(contact[plan.segment_subarc_indices], 0.0, samples.segment_integrals(residual))
+    residual = np.where(contact[plan.segment_subarc_indices], 0.0, samples.integrate_over_segments(residual))
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * weights, axis=0))
     by_piece = np.split(per_segment, plan.subarc_boundary_breaks[1:-1])
-    gradients = compute_singular_arc_gradients(samples, plan)
+    gradients = compute_singular_hamiltonian_gradients(samples, plan)
     subarcs = zip(plan.resolutions, by_piece, gradients, strict=True)
     wanted = tuple(choose_finer_subarc_mesh(*subarc, tol) for subarc in subarcs)
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
@@ -338,10 +340,12 @@ def choose_finer_subarc_mesh(r: SubarcMesh, errors: Array, gradient: float, tol:
         return smoother
     if np.all(errors <= tol):
         return smoother
-    return r.refine_by_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+    return r.refine_subarc_to_reduce_errors(
+        np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol)
+    )
 
 
-def compute_singular_arc_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
+def compute_singular_hamiltonian_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
     """Return the largest |dH/du| of singular controls in every subarc (A,), relative to H."""
     kinds = plan.structure.control_arc_kinds[:, plan.segment_subarc_indices[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale

@@ -209,7 +209,11 @@ class _StructureLoop:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            changes = set() if _is_arc_sequence_unchanged(record) else _list_structure_changes(current, plans)
+            changes = (
+                set()
+                if _is_arc_sequence_unchanged(record)
+                else _list_control_structure_changes(current, plans)
+            )
             if changes & changed:
                 return RefinementStatus.STALLED
             changed |= changes
@@ -239,7 +243,9 @@ class _StructureLoop:
         return replace(found, problem=self.problem)
 
 
-def _list_structure_changes(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
+def _list_control_structure_changes(
+    before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]
+) -> set[Change]:
     return {
         (name, plan.structure.with_switch_times(()), after[name].structure.with_switch_times(()))
         for name, plan in before.items()
@@ -276,7 +282,7 @@ def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
         k
         for k in range(1, structure.n_subarcs)
         if sum(row < structure.n_controls for row in structure.find_changed_arcs(k)) > 1
-        and not structure.has_only_kinks(k)
+        and not structure.has_only_control_kinks(k)
         and not structure.touches[k]
         and min(structure.subarc_lengths[k - 1 : k + 1]) > least
     )
@@ -295,10 +301,10 @@ def solve_with_split_switches(
         meshes[name] = replace(mesh, movable=movable)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
-    return _transfer_split_multipliers(solution, found, plans) if found.status.solved else None
+    return _replace_multipliers_by_other_solution(solution, found, plans) if found.status.solved else None
 
 
-def _transfer_split_multipliers(
+def _replace_multipliers_by_other_solution(
     solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]
 ) -> Solution:
     held = solution.need_problem("refine")

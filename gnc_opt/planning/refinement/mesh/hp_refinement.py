@@ -50,7 +50,7 @@ class _MeshSolution:
     @property
     def largest_finite_error(self) -> float:
         """Largest error of the segments in which all functions are defined."""
-        worst = np.concatenate([e.largest_errors for e in self.errors.values()])
+        worst = np.concatenate([e.largest_segment_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
 
@@ -161,7 +161,7 @@ class _Refinement:
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._choose_warm_start_options(),
-            budget=self._budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS),
+            budget=self._budget.allot_work_budget_share(warm_iterations=WARM_MAX_ITERATIONS),
         )
         self._state = self._estimate_mesh_errors(solution, begin, actions)
         if self._is_better_solution(self._state, self._best):
@@ -184,7 +184,7 @@ class _Refinement:
         errors = estimate_segment_errors(solution)
         record = record_iteration(solution, begin, actions, errors)
         self._iterations.append(record)
-        worst = np.concatenate([e.largest_errors for e in errors.values()])
+        worst = np.concatenate([e.largest_segment_errors for e in errors.values()])
         self._totals.append(float(np.sum(np.minimum(worst, 1e6))))
         return _MeshSolution(solution, errors, record)
 

@@ -45,8 +45,8 @@ SEGMENT_MAX_KINKS = 3
 
 def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
-    phase, worst, raised, split = error.samples.leg, error.largest_errors, 0, 0
-    excess = error.compute_required_error_decades(INNER_TOLERANCE_SHARE * tol)
+    phase, worst, raised, split = error.samples.leg, error.largest_segment_errors, 0, 0
+    excess = error.compute_required_error_reduction(INNER_TOLERANCE_SHARE * tol)
     added = np.ceil(excess / _fit_legendre_decay_rates(error))
     active = find_active_constraint_multipliers(error)
     times, degrees = [float(phase.breaks[0])], list[int]()
@@ -65,7 +65,7 @@ def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> lis
 
     New segments with a kink have at most degree 3, adjacent ones 3 to 6, and halves at most `HALF_MAX_DEGREE`.
     """
-    phase, worst = error.samples.leg, float(error.largest_errors[k])
+    phase, worst = error.samples.leg, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
     kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
     cuts = choose_breaks_around_kinks(error, k, kinks) if kinks else []
@@ -244,5 +244,5 @@ def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     of_states = phase.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
     of_paths = phase.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]
     excess = np.max(np.vstack([of_states, of_paths]), axis=0)
-    dominates = 2.0 * np.max(excess) > error.largest_errors[k]
+    dominates = 2.0 * np.max(excess) > error.largest_segment_errors[k]
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []

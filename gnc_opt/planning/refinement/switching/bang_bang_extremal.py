@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure_update import (
     clear_violations_near_switches,
-    find_violation_interval,
+    find_largest_violation_interval,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_point_values
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -78,7 +78,9 @@ def compute_newton_step(
     if not np.isfinite(flow.final_state_sensitivity).all():
         return None
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_state_sensitivity[:size]])
-    slope, jacobian, _ = ends.compute_end_derivatives(np.zeros(ends.misses.size - ends.given.size))
+    slope, jacobian, _ = ends.differentiate_cost_and_end_conditions(
+        np.zeros(ends.misses.size - ends.given.size)
+    )
     rows = np.vstack([flow.final_state_sensitivity[ends.given], jacobian @ changes])[:, free]
     if not are_gradients_independent(rows):
         return None  # undetermined multipliers diverge in the collocated problem
@@ -87,10 +89,12 @@ def compute_newton_step(
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
-    return ends.build_step(change, float(gradient @ change), adjoint, multipliers, (hessian, rows), steps)
+    return ends.build_switching_time_step(
+        change, float(gradient @ change), adjoint, multipliers, (hessian, rows), steps
+    )
 
 
-def compute_simplified_step(
+def compute_simplified_newton_step(
     problem: Problem,
     s: PhaseSamples,
     switches: Switches,
@@ -113,7 +117,7 @@ def compute_simplified_step(
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = float((gradient - known.rows.T @ known.multipliers) @ change)
     matrices = known.hessian, known.rows
-    return ends.build_step(change, gain, adjoint, multipliers, matrices, steps)
+    return ends.build_switching_time_step(change, gain, adjoint, multipliers, matrices, steps)
 
 
 class _EndConditions:
@@ -145,7 +149,7 @@ class _EndConditions:
         nothing = np.zeros(0, dtype=int)
         return cls(problem, s, integrate_bang_bang_flow(problem, s, piecewise, nothing, refinement, steps))
 
-    def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
+    def differentiate_cost_and_end_conditions(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         problem = self.problem
         functions = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
@@ -156,13 +160,13 @@ class _EndConditions:
     def compute_lagrangian_derivatives(self, multipliers: Array) -> tuple[Array, Array, Array]:
         """Return the cost gradient (final values), and gradient and Hessian of the Lagrangian in both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
-        slope, _, curvature = self.compute_end_derivatives(nu)
+        slope, _, curvature = self.differentiate_cost_and_end_conditions(nu)
         adjoint = np.zeros(self.flow.final_state.size)
         adjoint[: self.size] = slope[self.size :]
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
-    def build_step(
+    def build_switching_time_step(
         self,
         change: Array,
         gain: float,
@@ -215,12 +219,12 @@ class SwitchedFlow:
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
     ) -> SwitchedFlow | None:
         """Return a phase integrated with the matrices and the grid of a known step; None if it is not finite."""
-        step = compute_simplified_step(problem, s, switches, known, known.steps, STEP_PARTS)
+        step = compute_simplified_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     def is_cost_accurate(self, accuracy: float) -> bool:
         """Return whether the cost changes less than the accuracy by the coarser grid, and no arc is missing."""
-        return self.step.gain < accuracy and self.find_missing_arc is None
+        return self.step.gain < accuracy and self.find_missing_bang_arc is None
 
     @property
     def grid_times(self) -> Array:
@@ -270,7 +274,7 @@ class SwitchedFlow:
         return _build_solution_from_bang_bang_flow(known, found, self.step, self.step.flow)
 
     @cached_property
-    def find_missing_arc(self) -> tuple[int, float, float] | None:
+    def find_missing_bang_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
@@ -282,7 +286,7 @@ class SwitchedFlow:
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
         if wrong[i, j] < NEGLIGIBLE:
             return None
-        start, end = find_violation_interval(times, wrong[i])
+        start, end = find_largest_violation_interval(times, wrong[i])
         inset = NEW_ARC_INSET_SHARE * (end - start)
         return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
 

@@ -30,7 +30,7 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     SwitchedFlow,
     SwitchStep,
     compute_newton_step,
-    compute_simplified_step,
+    compute_simplified_newton_step,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -88,7 +88,7 @@ def find_optimal_switching_times(
     flight = (
         None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
     )
-    if flight is None or flight.find_missing_arc is not None:
+    if flight is None or flight.find_missing_bang_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
@@ -97,7 +97,9 @@ def find_optimal_switching_times(
         )
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _build_arc_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
+    return _build_arc_structure(
+        structure, s, _shift_switching_times(flight.switches, flight.step.change)
+    ), flight
 
 
 def _iterate_to_optimal_switches(
@@ -116,14 +118,14 @@ def _iterate_to_optimal_switches(
         if emptied and share < STEP_MIN_SHARE:
             switches = _remove_bang_arc(switches, emptied)
         elif share < 1 or step.get_relative_step_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
-            switches = _shift_switches(switches, share * step.change)
+            switches = _shift_switching_times(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
             if flight is None or (rested and _are_switching_times_close(flight.switches, rested.switches)):
                 break
-            if flight.find_missing_arc is None:
+            if flight.find_missing_bang_arc is None:
                 return flight
-            rested, switches = flight, _insert_bang_arc(flight.switches, *flight.find_missing_arc)
+            rested, switches = flight, _insert_bang_arc(flight.switches, *flight.find_missing_bang_arc)
     return rested
 
 
@@ -131,7 +133,7 @@ def _iterate_simplified_newton(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
-    step = compute_simplified_step(problem, s, switches, known, steps)
+    step = compute_simplified_newton_step(problem, s, switches, known, steps)
     return _iterate_newton_steps(problem, s, switches, step, accuracy)
 
 
@@ -150,7 +152,7 @@ def _iterate_newton_steps(
         away = _compute_switching_time_error(step, switches, accuracy)
         if away < NOTABLE:
             return SwitchedFlow.integrate_phase(problem, s, switches, step)
-        switches = _shift_switches(switches, step.change)
+        switches = _shift_switching_times(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < NOTABLE:
             flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
@@ -161,7 +163,7 @@ def _iterate_newton_steps(
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
             step, before = compute_newton_step(problem, s, switches, step.steps), math.inf
         else:
-            step, before = compute_simplified_step(problem, s, switches, step, step.steps), length
+            step, before = compute_simplified_newton_step(problem, s, switches, step, step.steps), length
     return None
 
 
@@ -237,7 +239,7 @@ def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tup
     return share, limiting
 
 
-def _shift_switches(switches: Switches, change: Array) -> Switches:
+def _shift_switching_times(switches: Switches, change: Array) -> Switches:
     times = switches.times + change[1:-1]
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
