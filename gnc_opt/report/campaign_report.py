@@ -138,9 +138,9 @@ def write_campaign_report(
         + _build_campaign_figures_html(files, "dispersion", captions),
         "Envelopes": _build_campaign_figures_html(files, "envelope", captions)
         + embed_captioned_figures("envelope-errors", "envelope-states", "envelope-controls"),
-        "Saturation": _build_actuator_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
         + embed_captioned_figures("errors", "states", "controls"),
+        "Saturation": _build_actuator_saturation_table(campaign, captions["saturation"]),
         "Scenario": format_html_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
         + format_html_table(("quantity", "value"), [row[:2] for row in design if row[1]])

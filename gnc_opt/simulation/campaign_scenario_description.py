@@ -77,4 +77,4 @@ def _describe_changed_settings(part: Any, units: Mapping[str, str]) -> Iterator[
         elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
             texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
             numbers = texts[0] if len(set(texts)) == 1 else ", ".join(texts)
-            yield f"{_WORDS.get(name, name)} {numbers} {units.get(name, '')}".rstrip()
+            yield f"{_WORDS.get(name, name.replace('_', ' '))} {numbers} {units.get(name, '')}".rstrip()
