@@ -241,9 +241,8 @@ def solve(
     >>> print(f"{found.objective:.6f} {found.history.status.value}")
     2.000000 converged
     """
-    require_type(
-        problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)"
-    )
+    hint = "write solve(problem), or solve(solution.problem)"
+    require_type(problem, Problem, "the argument of solve()", hint)
     get_point_family(scheme)
     if guess is not None:
         require_type(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
@@ -258,9 +257,8 @@ def solve(
     require_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
-    require_type(
-        options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)"
-    )
+    hint = "write options=SolverOptions(tolerance=1e-9)"
+    require_type(options, SolverOptions, "the options of solve()", hint)
     in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
         tol = None if in_a_loop else DEFAULT_TOLERANCE

@@ -213,11 +213,8 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     found = [np.zeros((0, phase.controls.size, s.times.size))]
     if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
-        scale = np.where(
-            s.path_scale > STILL_STATE_SHARE * s.path_constraint_variations,
-            s.path_scale,
-            s.path_constraint_variations,
-        )
+        varies = s.path_scale > STILL_STATE_SHARE * s.path_constraint_variations
+        scale = np.where(varies, s.path_scale, s.path_constraint_variations)
         paths = s.functions.path_constraints(s.times, s.x, s.u)
         near = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
@@ -315,9 +312,7 @@ def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) 
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.applied(times)
     near, pushes = rows.is_near_limits(rows.evaluate_constraints(*point)), rows.compute_costate_jumps(*point)
-    pushing = [
-        here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
-    ]
+    pushing = near & (np.stack([-pushes, pushes]) > ACTIVE * s.cost_scale)
     return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
 
 
@@ -431,9 +426,8 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
-        sizes, _ = scipy.optimize.nnls(
-            directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
-        )
+        left = (jumps[:, k] - directions @ least) * scale
+        sizes, _ = scipy.optimize.nnls(directions * scale[:, None], left)
         every[pushers.active[:, k], k] = sizes + least
         rest[:, k] -= directions @ (sizes + least)
     upper, lower = np.split(every, 2)
@@ -493,7 +487,6 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 
 def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `PureStateConstraints`, >= 0 (n_sides, K - 1)."""
-    beside = integrate_nearby_multipliers(
-        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]])
-    )
+    densities = [s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]]
+    beside = integrate_nearby_multipliers(s, np.vstack(densities))
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

@@ -101,9 +101,8 @@ class BangBangFlow:
         key = adjoint.tobytes()
         if key not in self._swept:
             places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
-            self._swept[key] = iterate_discrete_time_map(self._rates.back, np.append(adjoint, 0.0), places)[
-                :, ::-1
-            ]
+            swept = iterate_discrete_time_map(self._rates.back, np.append(adjoint, 0.0), places)
+            self._swept[key] = swept[:, ::-1]
         return self._swept[key]
 
     @cached_property

@@ -205,9 +205,8 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
     ``typical`` (n,) are magnitudes of the states; displacements far below them are rounding errors.
     """
     size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
-    along, end, start = (
-        np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
-    )
+    matrices = gramian.mean, gramian.end, gramian.start
+    along, end, start = (np.sqrt(np.maximum(np.diag(w), 0.0)) for w in matrices)
     if not s.has_duration:  # without motion, magnitudes are used
         along = end = replace_tiny_divisors_by_one(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)

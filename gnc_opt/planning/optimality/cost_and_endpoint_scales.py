@@ -130,12 +130,10 @@ def estimate_control_deviations(s: PhaseSamples) -> Array:
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
     pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
     steady = ~moves & ~pulled
-    deviation = np.where(
-        steady[:, None], _estimate_constant_control_deviation(s, size, bends)[:, None], deviation
-    )
-    return np.fmax(
-        deviation, _estimate_zero_control_deviation(s, np.fmax(size, np.max(deviation, axis=1)))[:, None]
-    )
+    constant = _estimate_constant_control_deviation(s, size, bends)[:, None]
+    deviation = np.where(steady[:, None], constant, deviation)
+    zero = _estimate_zero_control_deviation(s, np.fmax(size, np.max(deviation, axis=1)))
+    return np.fmax(deviation, zero[:, None])
 
 
 def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:

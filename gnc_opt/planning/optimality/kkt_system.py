@@ -70,9 +70,8 @@ class ProgramLimits:
 
     def mask_weakly_active_limits(self, values: Array, multipliers: Array) -> Mask:
         """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
-        return np.asarray(
-            (self.get_active_multipliers(multipliers) < ACTIVE) | (self.compute_slack(values) < ACTIVE)
-        )
+        pushes, slack = self.get_active_multipliers(multipliers), self.compute_slack(values)
+        return np.asarray((pushes < ACTIVE) | (slack < ACTIVE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,9 +189,8 @@ class ProgramPoint:
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = convert_casadi_to_scipy(
-            self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
-        )
+        found = self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
+        upper = convert_casadi_to_scipy(found)
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
@@ -204,9 +202,8 @@ class ProgramPoint:
     def kkt_residual(self) -> Array:
         """Residual of the first-order conditions: gradient in the free variables, followed by active rows."""
         held = self.rows.active
-        return np.concatenate(
-            [self.lagrangian_gradient[~self.variables.active], (self.constraint_values - self.rows.at)[held]]
-        )
+        excess = (self.constraint_values - self.rows.at)[held]
+        return np.concatenate([self.lagrangian_gradient[~self.variables.active], excess])
 
     @cached_property
     def multiplier_densities(self) -> tuple[Array, Array]:

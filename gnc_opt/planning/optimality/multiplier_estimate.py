@@ -278,12 +278,12 @@ def _fit_multipliers(
         unknowns = form.solve_least_squares(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]
-        pulling = (
-            limits.has_wrong_sign(-form.compute_dual_residuals(unknowns, gradient.size), size) & ~imposed
+        own, largest = (
+            -form.compute_dual_residuals(unknowns, gradient.size),
+            np.max(np.abs(found), initial=TINY),
         )
-        wrong = (
-            row_limits.has_wrong_sign(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
-        )
+        pulling = limits.has_wrong_sign(own, size) & ~imposed
+        wrong = row_limits.has_wrong_sign(found, float(largest)) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
@@ -372,13 +372,8 @@ def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPha
     breaks = phase.x.breaks
     middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
-    jacobian = np.moveaxis(
-        np.nan_to_num(
-            bind_free_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
-        ),
-        2,
-        0,
-    )
+    jacobian = bind_free_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
+    jacobian = np.moveaxis(np.nan_to_num(jacobian), 2, 0)
     size = replace_zero_divisors_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
     found, transition = [], np.eye(size.size)

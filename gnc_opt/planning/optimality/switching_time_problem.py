@@ -281,9 +281,9 @@ class SwitchingTimeProblem:
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
             grid, flow = _choose_integration_grid(*asked)
-            flows[s.leg.name] = (
-                flow if refinement == 1 else integrate_bang_bang_flow(*asked, refinement * grid)
-            )
+            if refinement > 1:
+                flow = integrate_bang_bang_flow(*asked, refinement * grid)
+            flows[s.leg.name] = flow
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
         derivatives = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
@@ -295,9 +295,8 @@ class SwitchingTimeProblem:
 
         n_constraints = solution.constraint_multipliers.size
         slope, jacobian, _ = evaluate_endpoint_derivatives(np.zeros(n_constraints))
-        conditions = _collect_boundary_conditions(
-            solution, samples, ends, unknowns, changes, jacobian @ changes
-        )
+        of_ends = jacobian @ changes
+        conditions = _collect_boundary_conditions(solution, samples, ends, unknowns, changes, of_ends)
         gradient = slope.ravel() @ changes
         return cls(
             unknowns,

@@ -152,9 +152,8 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     for k in at:
         left = _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0]
         right = _build_control_interpolants(t[k + 1 :], u[k + 1 :])[0]
-        time = _find_curve_intersection(
-            left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u))
-        )
+        slack = NEGLIGIBLE * float(np.ptp(u))
+        time = _find_curve_intersection(left, right, float(t[k]), float(t[k + 1]), slack)
         if time is not None:
             found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
@@ -236,9 +235,8 @@ def _refine_control_jump_times(
         x = samples.x[:, i]
         for a, b in itertools.pairwise(ends):
             x = _propagate_states(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
-        return np.asarray(
-            np.nan_to_num((x - samples.x[:, i + 1]) / size, nan=_LOST, posinf=_LOST, neginf=-_LOST)
-        )
+        error = (x - samples.x[:, i + 1]) / size
+        return np.asarray(np.nan_to_num(error, nan=_LOST, posinf=_LOST, neginf=-_LOST))
 
     start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
     found = scipy.optimize.least_squares(

@@ -87,9 +87,8 @@ class KnownSwitches:
         (phase,) = start.phases.values()
         left = self.structure.truncate_arcs_before(phase.initial_time)
         step = self.step if left.n_subarcs == self.structure.n_subarcs else None
-        begun = _shift_trajectory_to_initial_states(
-            recompute_stored_data(replace(start, problem=problem.frozen()))
-        )
+        start = recompute_stored_data(replace(start, problem=problem.frozen()))
+        begun = _shift_trajectory_to_initial_states(start)
         found = None if begun is None else _find_accurate_switching_times(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
@@ -133,9 +132,8 @@ def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
     ):
         if bounds.is_fixed[0] and bounds.lower[0] != t:
             return None
-    moved = np.where(
-        phase.initial_bounds.is_fixed, phase.initial_bounds.lower - phase.x(phase.breaks[0]), 0.0
-    )
+    given = phase.initial_bounds
+    moved = np.where(given.is_fixed, given.lower - phase.x(phase.breaks[0]), 0.0)
     x = PiecewisePolynomial(phase.x.breaks, phase.x.nodes, tuple(v + moved[:, None] for v in phase.x.values))
     return replace(known, phases={phase.name: replace(phase, x=x)})
 

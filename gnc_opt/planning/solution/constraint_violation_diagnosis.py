@@ -62,9 +62,8 @@ def list_iterate_violations(
         special = _find_unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
         special = _find_nonfinite_functions(problem, phases, parameters)
-    return (*special, *_find_violated_constraint_rows(transcription, problem, result, scaling))[
-        :_LISTED_VIOLATIONS
-    ]
+    rows = _find_violated_constraint_rows(transcription, problem, result, scaling)
+    return (*special, *rows)[:_LISTED_VIOLATIONS]
 
 
 def _find_violated_constraint_rows(
@@ -73,9 +72,8 @@ def _find_violated_constraint_rows(
     rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    amounts = np.concatenate(
-        [scaled_rows.compute_bound_violation(result.g), scaled_box.compute_bound_violation(result.x)]
-    )
+    boxes = (scaled_rows, result.g), (scaled_box, result.x)
+    amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in boxes])
     labels = (
         *transcription.constraint_row_labels,
         *(f"bound of {label}" for label in transcription.variable_labels),
@@ -100,9 +98,8 @@ def _find_nonfinite_functions(
     found = []
     for name, phase in phases.items():
         times = phase.point_times
-        bad = find_nonfinite_function(
-            problem, problem.phases[name], times, phase.x(times), phase.u(times), parameters
-        )
+        at = times, phase.x(times), phase.u(times)
+        bad = find_nonfinite_function(problem, problem.phases[name], *at, parameters)
         if bad:
             when = f"t = {bad.time:.4g} {problem.time_unit}"
             found.append(Violation(f"{bad.what}, phase {name}, {when}", np.nan))

@@ -62,14 +62,12 @@ def correct_constraint_arc_costates(
         for i, ends in enumerate((start, end)):
             gradients = functions.path_state_jacobian(phase.breaks[k + i], x[:, k, i], u[:, k, i])
             directions = gradients[at_limit[:, k]].T
-            ends[:, k] += (
-                directions @ np.linalg.lstsq(directions, continued[:, k, i] - ends[:, k], rcond=None)[0]
-            )
+            gap = continued[:, k, i] - ends[:, k]
+            ends[:, k] += directions @ np.linalg.lstsq(directions, gap, rcond=None)[0]
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(phase.breaks, phase.lam.nodes, tuple(values))
-    multipliers = _solve_path_multipliers(
-        phase, lam, functions, np.repeat(at_limit, phase.mesh.degrees, axis=1)
-    )
+    at_points = np.repeat(at_limit, phase.mesh.degrees, axis=1)
+    multipliers = _solve_path_multipliers(phase, lam, functions, at_points)
     return replace(phase, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
@@ -103,9 +101,8 @@ def compute_costates_at_collocation_points(collocation: PhaseCollocation, lam_g:
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
         # The factor w_k / 2 of multipliers and quadrature weights cancels.
-        pieces.append(
-            -lam_g[collocation.dynamics_rows[k]] @ collocation.build_dynamics_rate_matrix(k) / rule.weights
-        )
+        own, rates = lam_g[collocation.dynamics_rows[k]], collocation.build_dynamics_rate_matrix(k)
+        pieces.append(-own @ rates / rule.weights)
     return np.hstack(pieces)
 
 
@@ -225,10 +222,8 @@ class PhaseCostates:
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
-            bounded = self.still[:, k] & np.any(
-                self.bounded[:, _get_segment_point_slice(self.collocation, k)], axis=1
-            )
-            rows = bounded
+            here = _get_segment_point_slice(self.collocation, k)
+            rows = bounded = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
         rows = rows & bounded

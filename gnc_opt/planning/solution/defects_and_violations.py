@@ -60,9 +60,8 @@ def integrate_dynamics(
 
     The absolute tolerance is ``rtol`` times the magnitude of each state.
     """
-    signal, edges = (
-        (phase.applied, phase.applied.jump_times) if control == "flown" else (phase.u, phase.breaks)
-    )
+    signal: Callable[..., Array] = phase.applied if control == "flown" else phase.u
+    edges = phase.applied.jump_times if control == "flown" else phase.breaks
     states, ended = _integrate_between_control_jumps(phase, functions, edges, signal, rtol)
     error = states[:, -1] - phase.x(phase.breaks[-1], "left")
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
@@ -221,9 +220,8 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
     hidden = hidden[_select_largest_violation_peaks(k[hidden], promise[hidden])]
     if hidden.size:
-        left, right = (
-            samples.times[_find_neighbouring_samples(samples, j[hidden], step)] for step in (-1, 1)
-        )
+        beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
+        left, right = (samples.times[neighbours] for neighbours in beside)
         peaks, heights = _locate_limit_violation_peaks(
             samples, limits.select_limits(k[hidden]), signal, left, right
         )
@@ -317,9 +315,8 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    rates = evaluate_function_with_clipped_controls(
-        s.functions.state_rates, s.times_inside_segments, s.x, u, s.leg.control_bounds
-    )
+    at = s.times_inside_segments, s.x, u
+    rates = evaluate_function_with_clipped_controls(s.functions.state_rates, *at, s.leg.control_bounds)
     return np.asarray(s.x_rate - rates)
 
 
@@ -333,9 +330,8 @@ def compute_segment_defects(samples: PhaseSamples) -> Array:
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
     labels = samples.leg.states.labels
-    return Worst.locate_largest_value(
-        compute_segment_defects(samples), lambda i, k: samples.describe_segment(k, labels[i])
-    )
+    defects = compute_segment_defects(samples)
+    return Worst.locate_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
 
 
 def compute_terminal_error(samples: PhaseSamples) -> float:

@@ -41,9 +41,8 @@ def choose_initial_nlp_point(
     if guess is None:
         curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
         return InitialNlpPoint(set_integral_variables(transcription, problem, curved))
-    return build_nlp_point_from_solution(
-        transcription, problem, guess, build_nlp_point_from_guess(transcription, problem)
-    )
+    start = build_nlp_point_from_guess(transcription, problem)
+    return build_nlp_point_from_solution(transcription, problem, guess, start)
 
 
 def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -> Array:
@@ -137,9 +136,7 @@ def _copy_phase_guess_to_nlp_point(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = sample_inside_segments(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
-    times = _convert_fractions_to_times(
-        old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.arc_breaks)]
-    )
+    times = breaks[list(collocation.mesh.arc_breaks)]
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:

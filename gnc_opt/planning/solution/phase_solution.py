@@ -222,9 +222,8 @@ class PhaseSolution:
     def costate(self, name: str) -> Signal:
         """Return the costate of a state over time: dJ*/dx, per unit of the state."""
         signal = self._build_state_or_control_signal(name, self.states, self.lam)
-        return Signal(
-            f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
-        )
+        unit = f"1/({signal.unit})" if signal.unit else ""
+        return Signal(f"lam_{name}", unit, signal.labels, self.lam, signal.rows)
 
     def control(self, name: str) -> Signal:
         """Return the collocation polynomial of a control (it may exceed its bounds between nodes)."""
@@ -333,9 +332,8 @@ def _evaluate_control_composed_of_parts(
     control: ComposedControl, layout: Layout, source: SignalSource, t: ArrayLike, side: Side
 ) -> Array:
     values = source(t, side)
-    return np.asarray(
-        control.compose_control_from_parts(*(values[layout.slice(part)] for part in control.parts))
-    )
+    parts = (values[layout.slice(part)] for part in control.parts)
+    return np.asarray(control.compose_control_from_parts(*parts))
 
 
 def _evaluate_wrapped_angles(turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side) -> Array:

@@ -298,9 +298,8 @@ class PhaseSamples:
     @property
     def hamiltonian_rounding_level(self) -> float:
         """Cost per second below which differences of H are rounding."""
-        return (
-            COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
-        )
+        least = COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude
+        return least / self.span if least > 0 else 1e-9
 
     @cached_property
     def control_scale(self) -> Array:

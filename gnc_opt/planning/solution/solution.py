@@ -231,10 +231,8 @@ class Solution(PrintableResult):
         selected = self.phase(phase)
         problem = self.need_problem("evaluate")
         function = compile_expression(problem, selected.name, expression)
-        values = function(
-            t, selected.x(t, side), selected.u(t, side), selected.parameters, self.parameter_values
-        )
-        return drop_singleton_axes(values, t)
+        at = t, selected.x(t, side), selected.u(t, side)
+        return drop_singleton_axes(function(*at, selected.parameters, self.parameter_values), t)
 
     def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
@@ -264,9 +262,8 @@ class Solution(PrintableResult):
 
         The applied control is integrated independently of the collocation. Needs the problem or a saved value.
         """
-        return measure_solution_accuracy(
-            self.samples().values(), self.objective, self.objective_error.absolute_error
-        )
+        error = self.objective_error.absolute_error
+        return measure_solution_accuracy(self.samples().values(), self.objective, error)
 
     @cached_property
     def objective_error(self) -> ObjectiveError:
@@ -410,9 +407,8 @@ class Solution(PrintableResult):
     def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
         """Return states and applied controls by phase, in the controls as stated, of a solved solution."""
         problem = self.need_solved_problem("follow")
-        return tuple(
-            _extract_phase_trajectory(phase, problem.phases[phase.name]) for phase in self.phases.values()
-        )
+        pairs = ((phase, problem.phases[name]) for name, phase in self.phases.items())
+        return tuple(_extract_phase_trajectory(*pair) for pair in pairs)
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
         """Return a copy with a verdict."""

@@ -74,9 +74,11 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
     for s in samples:
         scale = max(scale, NEGLIGIBLE * s.cost_scale)
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
-            infeasibility += np.sum(
-                np.abs(_compute_cost_of_segment_defects(s)) + _compute_cost_of_constraint_violations(s)
+            defects, violations = (
+                _compute_cost_of_segment_defects(s),
+                _compute_cost_of_constraint_violations(s),
             )
+            infeasibility += np.sum(np.abs(defects) + violations)
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
     return ObjectiveError(float(found[0]), float(found[1]), scale)
@@ -226,9 +228,8 @@ def measure_solution_accuracy(
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
         phase, pieces = s.leg, _sample_between_control_jumps(s)
-        labels = [
-            f"{n} ({u})" if u else n for n, u in zip(phase.states.labels, phase.states.units, strict=True)
-        ]
+        pairs = zip(phase.states.labels, phase.states.units, strict=True)
+        labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]
         x = integrate_states_to_times(phase, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_state_error_at_end(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
@@ -244,9 +245,8 @@ def _find_largest_state_error_at_end(
 ) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
     phase, box = s.leg, s.leg.final_bounds
-    error = np.max(
-        [np.abs(end - phase.x(phase.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
-    )
+    miss = np.abs(end - phase.x(phase.breaks[-1], "left"))
+    error = np.max([miss, box.lower - end, end - box.upper], axis=0)
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {phase.name}"
     i = int(np.argmax(error / s.state_scale))

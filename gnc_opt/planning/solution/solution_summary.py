@@ -97,9 +97,8 @@ def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
     span = phase.control_bounds.upper - phase.control_bounds.lower
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
     held = np.any(phase.applied.is_piecewise_constant, axis=1).tolist()
-    return {
-        phase.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]
-    }
+    order = np.argsort(-relative, kind="stable")
+    return {phase.controls.labels[i]: float(worst[i]) for i in order if held[i]}
 
 
 def format_mesh(solution: SolutionLike) -> str:

@@ -87,9 +87,8 @@ def compute_state_scales(
     moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
         return replace_tiny_divisors_by_one(take_largest_component(size, phase.states))
-    movable = take_largest_component(
-        _estimate_controllable_state_changes(phase, functions, used), phase.states
-    )
+    movable = _estimate_controllable_state_changes(phase, functions, used)
+    movable = take_largest_component(movable, phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
@@ -143,9 +142,8 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
     least = set_nonfinite_to_zero(least)
     for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
-        changed = np.max(
-            np.abs(functions.state_rates(middles, x, u + by) - functions.state_rates(middles, x, u)), axis=1
-        )
+        before, after = (functions.state_rates(middles, x, v) for v in (u, u + by))
+        changed = np.max(np.abs(after - before), axis=1)
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
     for vector in phase.vector_controls:

@@ -223,9 +223,8 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool(
-        {*KINKED} & problem.memoize(("operations", "ends"), lambda: collect_casadi_operation_codes(ends))
-    )
+    codes = problem.memoize(("operations", "ends"), lambda: collect_casadi_operation_codes(ends))
+    return bool({*KINKED} & codes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,6 +381,5 @@ class Epigraph(ReformulatedPhase):
         for name, kink in self.kinks.items():
             values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
         controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
-        self.replace_phase_functions(
-            phase, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values))
-        )
+        guess = PhaseGuess(old.guess.time, values)
+        self.replace_phase_functions(phase, replace(old, controls=controls, guess=guess))

@@ -160,9 +160,8 @@ def remove_square_roots_from_norms(phase: Phase) -> dict[str, Constraint]:
 
 def _remove_square_root(row: Any, limits: Interval) -> Any | None:
     """Return a row with an upper limit on a function of one root in the form without the root; else None."""
-    root = next(
-        (node for node in iterate_subexpressions(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None
-    )
+    roots = (node for node in iterate_subexpressions(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT))
+    root = next(roots, None)
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")

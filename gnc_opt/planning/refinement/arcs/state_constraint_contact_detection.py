@@ -313,9 +313,9 @@ def replace_saturated_arc_controls(
         within = np.flatnonzero(beyond <= 0)
         if beyond[-1] > NEGLIGIBLE and within.size:
             last = slice(within[-1], within[-1] + 2)
-            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
+            at_limit = float(np.interp(0.0, beyond[last], times[last]))
+            start, end = sorted((at_limit, structure.times[boundary]))
             label = samples.leg.controls.labels[row]
-            return structure.with_inserted_arc(
-                row, ends[0], ends[1], kind
-            ), f"{label} at its bound from {samples.describe_times(ends[0])}"
+            action = f"{label} at its bound from {samples.describe_times(start)}"
+            return structure.with_inserted_arc(row, start, end, kind), action
     return None, ""

@@ -287,9 +287,8 @@ def _mask_states_driven_by_singular_controls(samples: PhaseSamples, controls: Ki
 
 
 def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
-    return select_arc_kind(
-        at_lower, ArcKind.LOWER, select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR)
-    )
+    otherwise = select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR)
+    return select_arc_kind(at_lower, ArcKind.LOWER, otherwise)
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:

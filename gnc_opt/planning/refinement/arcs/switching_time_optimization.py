@@ -163,10 +163,9 @@ def _optimise_switching_times_by_newton(
     structure, flight = found
     plan = ArcMesh.from_integration_steps(structure, flight.step_times)
     collocated = collocate_trajectory(solution, flight, plan)
-    final = solution.status is Status.OPTIMAL and satisfies_inequality_limits(
-        collocated, flight.s.state_scale
-    )
-    return collocated, {name: plan}, collocated if final else None
+    feasible = satisfies_inequality_limits(collocated, flight.s.state_scale)
+    final = collocated if feasible and solution.status is Status.OPTIMAL else None
+    return collocated, {name: plan}, final
 
 
 @dataclass(frozen=True, eq=False)
