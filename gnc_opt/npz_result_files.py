@@ -53,7 +53,7 @@ class DataclassSerializer:
         if is_dataclass(value):
             members = {
                 name: self.serialise_to_json_tree(
-                    getattr(value, name), _join_json_tree_path(place, name), arrays
+                    getattr(value, name), _append_name_to_json_path(place, name), arrays
                 )
                 for name in self.list_saved_dataclass_fields(type(value))
             }
@@ -63,7 +63,7 @@ class DataclassSerializer:
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
             return {
                 "map": {
-                    key: self.serialise_to_json_tree(item, _join_json_tree_path(place, key), arrays)
+                    key: self.serialise_to_json_tree(item, _append_name_to_json_path(place, key), arrays)
                     for key, item in value.items()
                 }
             }
@@ -103,7 +103,7 @@ class DataclassSerializer:
             whole = _store_array_by_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [
-            self.serialise_to_json_tree(item, _join_json_tree_path(place, str(i)), arrays)
+            self.serialise_to_json_tree(item, _append_name_to_json_path(place, str(i)), arrays)
             for i, item in enumerate(value)
         ]
         if not all(is_dataclass(item) for item in value):
@@ -147,7 +147,7 @@ def _build_unstorable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
-def _join_json_tree_path(place: str, name: str) -> str:
+def _append_name_to_json_path(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 

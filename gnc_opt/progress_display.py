@@ -24,7 +24,7 @@ def show_solve_progress(name: str, console: Console | None = None) -> Iterator[S
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
-    console = _create_rich_console() if console is None else console
+    console = _create_terminal_console() if console is None else console
     meter = _SolveMeter(name, console)
     try:
         yield meter.show_iteration
@@ -70,7 +70,7 @@ def show_refinement_progress(
     name: str, tolerance: float, console: Console | None = None
 ) -> Iterator[ShowPass]:
     """Show each completed iteration of a refinement to a tolerance; yields ``show(record)``."""
-    console = _create_rich_console() if console is None else console
+    console = _create_terminal_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
     with console.status("solving") as status:
@@ -126,7 +126,7 @@ def _show_progress_bar(
     name: str, total: int, console: Console | None
 ) -> Iterator[Callable[[int, str], None]]:
     """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
-    console = _create_rich_console() if console is None else console
+    console = _create_terminal_console() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -143,7 +143,7 @@ def _show_progress_bar(
         yield advance_progress_bar
 
 
-def _create_rich_console() -> Console:
+def _create_terminal_console() -> Console:
     """Return a console on standard error; notebooks overwrite lines as terminals do, without widgets."""
     notebook = Console().is_jupyter
     return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

@@ -45,8 +45,9 @@ FIRST = ("Model", "Problem", "solve", "Solution", "verify")
 INTERNAL = {
     "Problem": "with_fixed_arcs frozen fingerprint require_mutable clear_cache check_foreign_symbols clone",
     "Phase": " ".join(set(vars(gnc_opt.Phase)) - set(gnc_opt.Phase.__dir__(None))),  # type: ignore[arg-type]
-    "Model": "express_in_other_controls with_states composed_controls equations state_error_expression "
-    "retraction_expression derivative find_table_calls output_expression arguments forbid_further_declarations",
+    "Model": "express_in_other_controls with_states composed_controls algebraic_equations state_error_expression "
+    "retraction_expression state_derivative find_lookup_table_calls output_expression symbolic_arguments "
+    "forbid_further_declarations",
     "Solution": "phase_functions samples outside_tables trajectory_phases with_verdict need_problem "
     "need_solved_problem",
     "ClosedLoop": "kernel",

@@ -211,9 +211,9 @@ def _along(problem: go.Problem, leg: Any, n: int) -> Callable[..., Any]:
     """Return rates, path constraints and integrands at n points of a phase as a function of (t, x, u, p)."""
     expressions = [
         ca.densify(problem.substitute_parameters(leg, each))
-        for each in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+        for each in (leg.model.state_derivative(), leg.path_expression(), leg.integrand_expression())
     ]
-    t, x, u, constants = leg.model.arguments()
+    t, x, u, constants = leg.model.symbolic_arguments()
     function = ca.Function("rates", [t, x, u, constants, problem.parameter_symbols()], expressions).map(n)
     values = leg.model.parameter_values
     return lambda t, x, u, p: function(t, x, u, ca.repmat(values, 1, n), ca.repmat(p, 1, n))

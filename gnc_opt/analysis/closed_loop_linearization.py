@@ -130,7 +130,7 @@ class Linearization:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
-        by_P = self._run_constants_parameter_jacobian
+        by_P = self._jacobian_of_run_constants
         n = self.linearised_state_layout.size
         for k, row in enumerate(self._iterate_noise_free_step_inputs()):
             after, y, *jacobians = self._control_step_jacobian_function(
@@ -200,7 +200,7 @@ class Linearization:
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
-    def _run_constants_parameter_jacobian(self) -> Array:
+    def _jacobian_of_run_constants(self) -> Array:
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])

@@ -158,7 +158,9 @@ def sobol_indices(
         raise GncOptError(
             f"of {count} rows {count - np.sum(usable)} have a failed run: reduce the dispersions."
         )
-    return _bootstrap_sobol_indices(measure, design.factor_names, f[:, usable], count, level, scenario.seed)
+    return _bootstrap_sobol_indices(
+        measure, design.dispersed_factor_names, f[:, usable], count, level, scenario.seed
+    )
 
 
 def _bootstrap_sobol_indices(
@@ -205,7 +207,7 @@ class _SobolDesign:
     measure: str
 
     @property
-    def factor_names(self) -> tuple[str, ...]:
+    def dispersed_factor_names(self) -> tuple[str, ...]:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import ReportEntry
-from gnc_opt.control.feedforward_and_reference_schedule import choose_design_times
+from gnc_opt.control.feedforward_and_reference_schedule import choose_reference_sample_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model_variables import read_vector
@@ -75,7 +75,7 @@ def report_control_authority(
     """
     if limits is None:
         return []
-    times = choose_design_times(reference)
+    times = choose_reference_sample_times(reference)
     u = reference.u(times)
     if dt is not None and reference.duration > 0:
         u = reference.mean_control(times, dt)
@@ -106,7 +106,7 @@ def report_reference_limit_violation(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
     """Return the largest violation of state limits (n_limited,) by the reference at rows ``places``, and warn."""
-    times, facts = choose_design_times(reference), []
+    times, facts = choose_reference_sample_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):
         x, label = reference.x(times)[place], reference.states.labels[place]
         over = np.maximum(low - x, x - high)

@@ -24,7 +24,7 @@ from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
     StackedSchedule,
     build_reference_signal_layout,
-    choose_design_times,
+    choose_reference_sample_times,
 )
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
@@ -83,7 +83,7 @@ def build_guarded_decoupling_inverse(
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive_number(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
-    times = choose_design_times(reference)
+    times = choose_reference_sample_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_expression_on_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])

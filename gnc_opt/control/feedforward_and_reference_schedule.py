@@ -49,7 +49,7 @@ class StackedSchedule:
         return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
-def choose_design_times(reference: Reference, samples: int = 101) -> Array:
+def choose_reference_sample_times(reference: Reference, samples: int = 101) -> Array:
     """Return the times (s) at which a design evaluates its reference: equidistant, and on both sides of jumps."""
     start, end = reference.initial_time, reference.final_time
     if end <= start:

@@ -48,8 +48,8 @@ class PlantPair:
     @classmethod
     def from_model(cls, model: Model) -> PlantPair:
         """Return the pair of a model; `DesignError` unless the controls enter dx/dt affinely."""
-        t, x, u, p = model.arguments()
-        f = ca.substitute(model.derivative(), p, ca.DM(model.parameter_values))
+        t, x, u, p = model.symbolic_arguments()
+        f = ca.substitute(model.state_derivative(), p, ca.DM(model.parameter_values))
         bent = [model.controls.labels[j] for j in range(u.numel()) if ca.depends_on(ca.jacobian(f, u), u[j])]
         if bent:
             raise DesignError(
@@ -72,7 +72,7 @@ class PlantPair:
         """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
-    def build_plant_reference_function(self, *expressions: Any) -> Any:
+    def build_function_of_plant_and_reference(self, *expressions: Any) -> Any:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
@@ -80,7 +80,7 @@ class PlantPair:
         self, reference: Reference, times: Array, expression: Any
     ) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
-        function = self.build_plant_reference_function(expression)
+        function = self.build_function_of_plant_and_reference(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
         return [np.asarray(function(t, x, u, x, u).full()) for t, x, u in points]
 
@@ -129,10 +129,10 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     >>> print(lie_derivative(cart, q, 2))
     a
     """
-    t, x, _, _ = model.arguments()
+    t, x, _, _ = model.symbolic_arguments()
     h = convert_to_sx_column(expression, "the expression to from_expression", failure=DesignError)
     for _ in range(order):
-        h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.derivative())
+        h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.state_derivative())
     return h
 
 
@@ -243,7 +243,7 @@ def _has_control_in_output_rate(pair: PlantPair, reference: Reference, e: Any, r
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
-    function = pair.build_plant_reference_function(ca.jacobian(rate, pair.u), size)
+    function = pair.build_function_of_plant_and_reference(ca.jacobian(rate, pair.u), size)
     random = np.random.default_rng(0)
     for t in np.linspace(reference.initial_time, reference.final_time, 5):
         x, u = reference.x(t), reference.u(t)
@@ -299,7 +299,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     pair = errors.pair
     deviation = pair.model.state_error_expression(pair.x, pair.x_ref)
     rates = errors.drift + errors.decoupling @ pair.u
-    function = pair.build_plant_reference_function(
+    function = pair.build_function_of_plant_and_reference(
         ca.jacobian(deviation, pair.x),
         ca.jacobian(pair.compute_lie_derivative(deviation), pair.x),
         ca.jacobian(pair.compute_lie_derivative(deviation), pair.u),

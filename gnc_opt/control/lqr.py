@@ -36,7 +36,7 @@ from gnc_opt.control.discrete_time_controller import Controller, initial_state_f
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
     build_reference_signal_layout,
-    choose_design_times,
+    choose_reference_sample_times,
 )
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
@@ -199,7 +199,7 @@ class _StepSchedule:
 
 def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are constant along the reference; otherwise raise `DesignError`."""
-    times = choose_design_times(reference, 25)
+    times = choose_reference_sample_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]

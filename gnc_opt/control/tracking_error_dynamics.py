@@ -44,7 +44,7 @@ class ErrorDynamics:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.errors: Layout = model.errors
-        _, xs, us, _ = model.arguments()
+        _, xs, us, _ = model.symbolic_arguments()
         self._x, self._u = xs, us
         self._x_ref = ca.SX.sym("x_ref", model.states.size)
 
@@ -78,7 +78,7 @@ class ErrorDynamics:
 
     def output_expression(self, name: str, t: Any, x: Any) -> Any:
         """Return an output as an SX expression of t and x; raise `DesignError` if it depends on a control."""
-        time, xs, us, p = self.model.arguments()
+        time, xs, us, p = self.model.symbolic_arguments()
         y = self.model.output_expression(name)
         if any(ca.which_depends(y, us, 1, True)):
             raise DesignError(
@@ -99,9 +99,9 @@ class ErrorDynamics:
 
     @cached_property
     def _tracking_error_jacobian_function(self) -> Any:
-        t, x, u, p = self.model.arguments()
+        t, x, u, p = self.model.symbolic_arguments()
         x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
-        f = self.model.derivative()
+        f = self.model.state_derivative()
         f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
         e = self.state_error_expression(x, x_ref)
         rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)

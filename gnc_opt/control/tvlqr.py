@@ -27,7 +27,7 @@ from gnc_opt.control.discrete_time_controller import Controller, initial_state_f
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
     build_reference_signal_layout,
-    choose_design_times,
+    choose_reference_sample_times,
 )
 from gnc_opt.control.lqr import report_regulator_poles_and_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
@@ -144,7 +144,7 @@ def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
 
 
 def _report_tvlqr_design(deviation: ErrorDynamics, reference: Reference, gains: Gains) -> list[ReportEntry]:
-    times = choose_design_times(reference, 40)
+    times = choose_reference_sample_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

@@ -89,8 +89,8 @@ class AugmentedModel:
         self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
         self.space = build_product_error_space([space for _, space in parts])
         self.vehicle = build_product_error_space([space for _, space in parts[: len(model.states.variables)]])
-        t, own, u, p = model.arguments()
-        slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
+        t, own, u, p = model.symbolic_arguments()
+        slope = ca.substitute(ca.jacobian(model.state_derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
     def build_state_flow_function(self, h: float) -> Any:
@@ -113,13 +113,13 @@ class AugmentedModel:
         own, end = x[:n], after[:n]
         middle = 0.5 * (own + end)
         A = self._jacobian(t + h / 2, middle, u)
-        last, vehicle = self.vehicle.build_difference_jacobian(end), self.vehicle
+        last, vehicle = self.vehicle.build_state_difference_jacobian(end), self.vehicle
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        whole = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(own), rest)
+        whole = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
-        half = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(middle), rest)
+        half = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:
@@ -141,7 +141,7 @@ class AugmentedModel:
     def build_undelayed_output_function(self, channel: MeasurementChannel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
         model = self.model
-        time, xs, _, p = model.arguments()
+        time, xs, _, p = model.symbolic_arguments()
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         name = channel.name
         if name in model.states:

@@ -36,13 +36,13 @@ class Space:
     difference: Callable[[Any, Any], Any]
     retraction: Callable[[Any, Any], Any]
 
-    def build_difference_jacobian(self, x: Any) -> Any:
+    def build_state_difference_jacobian(self, x: Any) -> Any:
         """Return D (errors, size) at an SX column x."""
         own, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
         slope = ca.jacobian(self.difference(own, reference), own)
         return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
 
-    def build_retraction_jacobian(self, x: Any) -> Any:
+    def build_state_retraction_jacobian(self, x: Any) -> Any:
         """Return R (size, errors) at an SX column x."""
         own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
         slope = ca.jacobian(self.retraction(own, error), error)
@@ -57,7 +57,7 @@ def build_product_error_space(spaces: Sequence[Space]) -> Space:
     sizes = [0, *_compute_cumulative_sums(s.size for s in spaces)]
     errors = [0, *_compute_cumulative_sums(s.errors for s in spaces)]
 
-    def compute_stacked_difference(x: Any, ref: Any) -> Any:
+    def compute_stacked_state_difference(x: Any, ref: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
         return ca.vertcat(*[s.difference(own, other) for s, own, other in parts])
 
@@ -65,7 +65,7 @@ def build_product_error_space(spaces: Sequence[Space]) -> Space:
         parts = zip(spaces, ca.vertsplit(ref, sizes), ca.vertsplit(e, errors), strict=True)
         return ca.vertcat(*[s.retraction(own, error) for s, own, error in parts])
 
-    return Space(sizes[-1], errors[-1], compute_stacked_difference, retract_stacked_states)
+    return Space(sizes[-1], errors[-1], compute_stacked_state_difference, retract_stacked_states)
 
 
 def _compute_cumulative_sums(numbers: Any) -> list[int]:

@@ -51,9 +51,9 @@ class TangentModel:
         """Return f at the mean, the Jacobian in the errors and a zero remainder."""
         value = f(x)
         slope = (
-            target.build_difference_jacobian(value)
+            target.build_state_difference_jacobian(value)
             @ ca.jacobian(value, x)
-            @ source.build_retraction_jacobian(x)
+            @ source.build_state_retraction_jacobian(x)
         )
         return value, slope, ca.SX(target.errors, target.errors)
 

@@ -131,9 +131,9 @@ class KalmanFilter:
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
         self.pattern = self._find_covariance_sparsity()
-        self.memory = self._build_memory_layout()
+        self.memory = self._build_filter_memory_layout()
 
-    def _build_memory_layout(self) -> Layout:
+    def _build_filter_memory_layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
         entries += [

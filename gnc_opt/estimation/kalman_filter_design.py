@@ -140,7 +140,7 @@ class FilterDesign:
     ) -> None:
         require_type(model, Model, "the model of an estimator", "give a Model")
         self.name = name = read_display_name(options.name, "estimator")
-        model.derivative()
+        model.state_derivative()
         self.model, self.dt = model, read_positive_number(dt, f"the control step of '{name}'")
         self.substeps = read_integer(options.substeps, f"substeps of '{name}'", 1)
         self.hold = read_integer(

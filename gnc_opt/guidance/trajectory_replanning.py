@@ -290,7 +290,7 @@ class Replanner:
             x = np.asarray(self._control_step_propagation_function(float(begin), x, u, dt).full()[:, 0])
         return x
 
-    def solve_plan(self, begin: float, x: Array, near: Solution) -> Solution:
+    def replan_from_state(self, begin: float, x: Array, near: Solution) -> Solution:
         """Return the plan from time ``begin`` (s) and state ``x`` (n_states,), warm-started from ``near``."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}

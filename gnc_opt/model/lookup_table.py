@@ -106,7 +106,9 @@ class Table(StrictAttributes):
                 f"table '{self.name}' has {len(self.grids)} axes but {len(arguments)} arguments: give one per axis."
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
-            return self._build_lookup_table_expression([self._read_table_argument(a) for a in arguments])
+            return self._build_lookup_table_expression(
+                [self._read_lookup_table_argument(a) for a in arguments]
+            )
         numbers = [
             read_float_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
         ]
@@ -126,7 +128,7 @@ class Table(StrictAttributes):
         )
         return found if found.ndim else float(found)
 
-    def _read_table_argument(self, argument: Any) -> Any:
+    def _read_lookup_table_argument(self, argument: Any) -> Any:
         try:
             return ca.vec(ca.SX(argument))
         except (NotImplementedError, RuntimeError):
@@ -181,7 +183,8 @@ class Table(StrictAttributes):
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_interpolation_polynomials
         found = [
-            _LocatedInterval.locate_in_breakpoint_intervals(pieces, point[k]) for k, pieces in enumerate(axes)
+            _LocatedInterval.locate_points_in_breakpoint_intervals(pieces, point[k])
+            for k, pieces in enumerate(axes)
         ]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
@@ -204,7 +207,7 @@ class _LocatedInterval:
     comparisons: Any
 
     @classmethod
-    def locate_in_breakpoint_intervals(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
+    def locate_points_in_breakpoint_intervals(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]

@@ -27,7 +27,7 @@ def read_variable_declarations(given: Any, what: str) -> list[DeclaredVariable]:
     Symbols without a mapping keep their names. ``what`` is the subject of the `ModelError`.
     """
     if isinstance(given, Mapping):
-        return [_read_declared_variable(name, value, what) for name, value in given.items()]
+        return [_read_model_variable_declaration(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
     return [
         entry
@@ -97,7 +97,7 @@ def _check_dynamics_function_inputs(function: Any, arguments: Mapping[str, Any],
             )
 
 
-def _read_declared_variable(name: str, value: Any, what: str) -> DeclaredVariable:
+def _read_model_variable_declaration(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
         return DeclaredVariable(name, int(value))
     column = _require_casadi_column(value, what)

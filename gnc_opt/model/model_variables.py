@@ -309,7 +309,7 @@ class VariableSet:
         self._owner = owner
         self._symbols = symbols or {kind: {} for kind in KINDS}
 
-    def replace_controls(self, controls: Sequence[Symbol]) -> VariableSet:
+    def replace_control_variables(self, controls: Sequence[Symbol]) -> VariableSet:
         """Return the same states and parameters with other controls."""
         return VariableSet(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
 

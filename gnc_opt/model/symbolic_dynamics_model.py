@@ -57,7 +57,7 @@ class StateDifferences:
         if retraction is not None:
             self._retractions[name] = retraction
 
-    def iterate_state_errors(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
+    def iterate_state_error_expressions(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
         """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column per state."""
         for name in states.names:
             rows = states.slice(name)
@@ -71,7 +71,9 @@ class StateDifferences:
         """Return names, sizes and units of the errors."""
         parts = [
             Variable(v.name, e.shape[0], getattr(self._functions.get(v.name), "error_unit", v.unit))
-            for v, e in zip(states.variables, self.iterate_state_errors(states, x, x_ref), strict=True)
+            for v, e in zip(
+                states.variables, self.iterate_state_error_expressions(states, x, x_ref), strict=True
+            )
         ]
         return Layout("error", tuple(parts), self._owner)
 
@@ -203,7 +205,7 @@ class Model(StrictAttributes):
             for letter, group in zip("xup", (states, controls, parameters), strict=True)
         }
         symbols = {"t": [] if t is None else [t], **symbols}
-        arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
+        arguments = dict(zip(_ARGUMENTS, model.symbolic_arguments(), strict=True))
         rate = read_state_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
@@ -436,7 +438,7 @@ class Model(StrictAttributes):
         """
         twin = copy.copy(self)
         twin._functions = {}
-        twin._variables = self._variables.replace_controls(controls)
+        twin._variables = self._variables.replace_control_variables(controls)
         twin._equations = {name: express(rate) for name, rate in self._equations.items()}
         twin._outputs = {name: (v, express(y)) for name, (v, y) in self._outputs.items()}
         twin._outputs |= {c.name: (c.variable, value) for c, value in composed}
@@ -488,7 +490,7 @@ class Model(StrictAttributes):
         return self._composed_controls
 
     @property
-    def equations(self) -> Mapping[str, Any]:
+    def algebraic_equations(self) -> Mapping[str, Any]:
         """Expressions that are zero along every trajectory, by the name of their algebraic variable."""
         return self._algebraic
 
@@ -506,7 +508,7 @@ class Model(StrictAttributes):
 
     def state_error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
-        return ca.vertcat(*self._differences.iterate_state_errors(self.states, x, x_ref))
+        return ca.vertcat(*self._differences.iterate_state_error_expressions(self.states, x, x_ref))
 
     def retraction_expression(self, x_ref: Any, e: Any) -> Any:
         """Return the stacked SX states with errors e (n_errors, 1) relative to x_ref (n_states, 1), both SX.
@@ -527,7 +529,7 @@ class Model(StrictAttributes):
         """Return the symbol of a declared state, control or parameter."""
         return self._variables.get_symbol(name)
 
-    def derivative(self) -> Any:
+    def state_derivative(self) -> Any:
         """Return the SX expression of dx/dt, stacked over the states; raise `ModelError` if an equation is missing."""
         missing = [name for name in self.states.names if name not in self._equations]
         if missing:
@@ -541,7 +543,7 @@ class Model(StrictAttributes):
             )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
 
-    def find_table_calls(self) -> list[TableCall]:
+    def find_lookup_table_calls(self) -> list[TableCall]:
         """Return the table calls with expressions of the model's symbols."""
         return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_calls]
 
@@ -550,7 +552,7 @@ class Model(StrictAttributes):
         self.outputs.slice(name)
         return self._outputs[name][1]
 
-    def arguments(self) -> tuple[Any, Any, Any, Any]:
+    def symbolic_arguments(self) -> tuple[Any, Any, Any, Any]:
         """Return the symbols (t, x, u, p), the arguments of every function of a model."""
         return self._time, self.symbols("state"), self.symbols("control"), self.symbols("parameter")
 
@@ -559,7 +561,7 @@ class Model(StrictAttributes):
     @property
     def function(self) -> Any:
         """CasADi Function ``f(t, x, u, p) -> dx/dt``."""
-        return self._build_cached_model_function("f", lambda: [self.derivative()], "dx_dt")
+        return self._build_cached_model_function("f", lambda: [self.state_derivative()], "dx_dt")
 
     def to_function(self) -> Any:
         """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
@@ -568,7 +570,9 @@ class Model(StrictAttributes):
         """
         outputs = [self.output_expression(name) for name in self.outputs.names]
         stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
-        return self._build_cached_model_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
+        return self._build_cached_model_function(
+            "model", lambda: [self.state_derivative(), stacked], "dx_dt", "y"
+        )
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.
@@ -592,9 +596,12 @@ class Model(StrictAttributes):
         self, t: float, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
-        _, xs, us, _ = self.arguments()
+        _, xs, us, _ = self.symbolic_arguments()
         jacobians = self._build_cached_model_function(
-            "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
+            "AB",
+            lambda: [ca.jacobian(self.state_derivative(), xs), ca.jacobian(self.state_derivative(), us)],
+            "A",
+            "B",
         )
         a, b = jacobians(
             *read_casadi_function_arguments(jacobians, t, x, u, self.parameter_values if p is None else p)
@@ -608,7 +615,7 @@ class Model(StrictAttributes):
     def _build_cached_model_function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
             self._functions[name] = ca.Function(
-                name, list(self.arguments()), expressions(), _ARGUMENTS, list(names)
+                name, list(self.symbolic_arguments()), expressions(), _ARGUMENTS, list(names)
             )
         return self._functions[name]
 
@@ -651,7 +658,7 @@ class Model(StrictAttributes):
 
     def _read_model_expression(self, value: Any, what: str, size: int | None) -> Any:
         expression = convert_to_sx_column(value, what, size)
-        foreign = find_unknown_symbols(expression, list(self.arguments()))
+        foreign = find_unknown_symbols(expression, list(self.symbolic_arguments()))
         if foreign:
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "

@@ -32,7 +32,7 @@ from gnc_opt.plot.figure_style import (
 from gnc_opt.plot.time_plot_axes import label_bottom_time_axes
 from gnc_opt.simulation.campaign_performance_measures import rank_dispersions
 from gnc_opt.simulation.campaign_results import Campaign
-from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
+from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_performance_measures
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.recorded_extremes_and_integrals import select_quantity_sample_steps
 from gnc_opt.simulation.simulation_run_results import Run
@@ -139,7 +139,9 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     >>> figure = plot_distributions(campaign, ["q", "max(overshoot)"])
     """
     chosen = (
-        list(names) if names is not None else list(campaign.limits) or list(select_printed_measures(campaign))
+        list(names)
+        if names is not None
+        else list(campaign.limits) or list(select_printed_performance_measures(campaign))
     )
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
@@ -199,7 +201,7 @@ def _draw_limit_of_performance_measure(ax: Axes, limit: float | None, unit: str,
 def rank_dispersion_effects(campaign: Campaign) -> dict[str, tuple[list[tuple[str, float, Array]], float]]:
     """Return the ranked dispersions and the noise level of rank correlations by (limited) measure."""
     found = {}
-    for name in list(campaign.limits) or select_printed_measures(campaign):
+    for name in list(campaign.limits) or select_printed_performance_measures(campaign):
         effects = rank_dispersions(campaign, campaign.measure(name))
         tail = (1 - CONFIDENCE) / (4 * len(effects) or 1)  # Bonferroni: two sides of two coefficients each
         found[name] = effects, min(-scipy.special.ndtri(tail) / np.sqrt(len(campaign)), 1.0)

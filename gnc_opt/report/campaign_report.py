@@ -191,13 +191,13 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
     from gnc_opt.simulation.campaign_tables import (
         build_campaign_table_rows,
         format_confidence_and_event_notes,
-        select_printed_measures,
+        select_printed_performance_measures,
     )
 
     cells, shares = build_campaign_table_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
     found = _compute_percentiles_relative_to_limit(campaign, _LEVELS[-1])
-    for name in select_printed_measures(campaign):
-        share, low, high = map(_format_limit_ratio, found.get(name, 3 * (np.nan,)))
+    for name in select_printed_performance_measures(campaign):
+        share, low, high = map(_format_share_of_limit, found.get(name, 3 * (np.nan,)))
         shares.append(f"{share} ({f'{low} to {high}' if high else f'above {low}'})" * bool(share and low))
     titles, *rows = [
         [
@@ -247,7 +247,7 @@ def _describe_run_failure(campaign: Campaign, k: int) -> tuple[str, str, str, st
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
     unit = f" {campaign.unit(name)}".rstrip()
     texts = f"{value:.4g}{unit}", "" if limit is None else f"{limit:.4g}{unit}"
-    share = _format_limit_ratio(value / limit) if limit else ""
+    share = _format_share_of_limit(value / limit) if limit else ""
     return cause, *texts, share, f"{_find_time_of_extreme_value(campaign, name, k):.6g}"
 
 
@@ -260,7 +260,7 @@ def _compute_percentiles_relative_to_limit(
     return {n: (p.value / limits[n], p.low / limits[n], p.high / limits[n]) for n, p in found.items()}
 
 
-def _format_limit_ratio(share: float) -> str:
+def _format_share_of_limit(share: float) -> str:
     """Return a share of a limit as "27 %" or "40 ×"; "" for NaN or infinity."""
     text = f"{100.0 * share:.3g} %" if abs(share) < 10.0 else f"{share:.3g} ×"
     return text if np.isfinite(share) else ""
@@ -278,7 +278,7 @@ def build_campaign_conclusion(
         shares = _compute_percentiles_relative_to_limit(campaign, level)
         if shares and np.all(np.isfinite(list(shares.values()))):
             name = max(shares, key=lambda each: shares[each][2])
-            share, low, high = map(_format_limit_ratio, shares[name])
+            share, low, high = map(_format_share_of_limit, shares[name])
             share = share.replace("%", "% of").replace("×", "times")
             measure = escape(campaign.describe_measure(name))
             return captions["conclusion"].format(passed, measure, f"{100 * level:g}", share, low, high)

@@ -37,7 +37,7 @@ class StructureMargin(NamedTuple):
 
 def list_structure_margins(solution: Solution) -> list[StructureMargin]:
     """Return the margin with the largest risk of each kind; values of S at the ends of a phase count as extrema."""
-    return select_largest_risks(iterate_structure_margins(solution))
+    return select_largest_risks(iterate_control_structure_margins(solution))
 
 
 def select_largest_risks(margins: Iterable[StructureMargin]) -> list[StructureMargin]:
@@ -48,7 +48,7 @@ def select_largest_risks(margins: Iterable[StructureMargin]) -> list[StructureMa
     return list(found.values())
 
 
-def iterate_structure_margins(solution: Solution) -> Iterator[StructureMargin]:
+def iterate_control_structure_margins(solution: Solution) -> Iterator[StructureMargin]:
     """Yield the margins of all arcs of all controls and constraints."""
     for phase in solution.phases.values():
         arcs = [arc for arc in solution.structure if arc.phase == phase.name]

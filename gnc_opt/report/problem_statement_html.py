@@ -154,7 +154,7 @@ def _build_free_parameters_section(problem: Problem) -> str:
 def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
-    def refer_to_earlier_phase(part: str) -> str:
+    def replace_repeated_section_by_reference(part: str) -> str:
         earlier = shown.setdefault(part, phase.name) if part else phase.name
         return part if earlier == phase.name else f"<p>As in phase {escape(earlier)}.</p>"
 
@@ -167,7 +167,7 @@ def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) 
         f"<h3>Phase {escape(phase.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (phase.restatement.texts if phase.restatement else ())),
         "<h4>Dynamics</h4>",
-        refer_to_earlier_phase(_build_dynamics_section(problem, phase)),
+        replace_repeated_section_by_reference(_build_dynamics_section(problem, phase)),
         "<h4>States, controls and times</h4>",
         format_html_table(
             ("", "initial value", "final value", "limits", "unit"),
@@ -187,7 +187,9 @@ def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) 
             ],
         ),
         _add_html_section_title(
-            "h4", "Parameters of the model", refer_to_earlier_phase(_build_parameter_table(problem, phase))
+            "h4",
+            "Parameters of the model",
+            replace_repeated_section_by_reference(_build_parameter_table(problem, phase)),
         ),
     ]
     return "".join(body)
@@ -234,7 +236,7 @@ def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
     }
     rows: list[tuple[str, Any]] = []
     for v in states.variables:
-        rates = phase.model.derivative()[states.slice(v.name)]
+        rates = phase.model.state_derivative()[states.slice(v.name)]
         if (
             whole := symbols.get(_compute_expression_hashes(rates))
         ) is not None:  # of a vector, such as the velocity
@@ -275,7 +277,7 @@ def _list_phase_symbol_names(problem: Problem, phase: Phase) -> dict[int, str]:
     names[model.time.element_hash()] = _TIME
     names |= typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
-    for use in model.find_table_calls():
+    for use in model.find_lookup_table_calls():
         if use.value.numel() == 1 and writer.are_formulas_short(use.arguments):
             arguments = [
                 "".join(writer.split_formula_terms(argument)) for argument in ca.vertsplit(use.arguments)

@@ -38,7 +38,7 @@ from gnc_opt.plot.trajectory_figures import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
 from gnc_opt.report.control_structure_margins import (
     StructureMargin,
-    iterate_structure_margins,
+    iterate_control_structure_margins,
     select_largest_risks,
 )
 from gnc_opt.report.html_report_document import (
@@ -110,7 +110,7 @@ def build_solution_page(
         statement = statement.replace("<details open>", "<details>")
     known = solution.problem is not None and solution.status.solved
     limits = list(list_limit_margins(solution)) if known else []
-    every_margin = list(iterate_structure_margins(solution)) if known else []
+    every_margin = list(iterate_control_structure_margins(solution)) if known else []
     margins = select_largest_risks(every_margin)
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
@@ -145,8 +145,8 @@ def build_solution_page(
 def _describe_hamiltonian_constancy(problem: Problem, solution: Solution) -> str:
     """Return whether the Hamiltonian is constant and, for a single phase with free final time, its value."""
     for phase in problem.phases.values():
-        functions = phase.model.derivative(), phase.integrand_expression(), phase.path_expression()
-        tables = [ca.vec(use.arguments) for use in phase.model.find_table_calls()]
+        functions = phase.model.state_derivative(), phase.integrand_expression(), phase.path_expression()
+        tables = [ca.vec(use.arguments) for use in phase.model.find_lookup_table_calls()]
         if ca.depends_on(ca.vertcat(*functions, *tables), phase.model.time):
             return " Time occurs explicitly in the problem, so that it may vary."
     slope, (initial, final) = ca.jacobian(problem.sense * problem.cost, phase.final_time), phase.time_ranges()

@@ -64,7 +64,7 @@ def get_signal_sizes_and_units(layout: Layout) -> Kinds:
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 
-def connect_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
+def connect_block_chain(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
     """Return the links of a chain of blocks, and the signals after the last block.
 
     Raises

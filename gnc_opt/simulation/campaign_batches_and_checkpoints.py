@@ -220,7 +220,7 @@ def halve_run_batch(batch: Batch) -> tuple[Batch, ...]:
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def get_batch_results_or_failure(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBatch]:
+def get_run_batch_results(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBatch]:
     """Return the results of a finished batch, or of one that could not be simulated."""
     if done.answer is not None:
         return done.answer

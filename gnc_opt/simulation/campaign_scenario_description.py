@@ -58,11 +58,11 @@ def _describe_class_and_settings(part: Any, units: Mapping[str, str]) -> str:
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
     places = np.ravel(getattr(part, "on", None) or []).tolist()
     kind += f" on {', '.join(map(str, places))}" * bool(places)
-    values = ", ".join(_describe_changed_settings(part, units)) if is_dataclass(part) else ""
+    values = ", ".join(_describe_non_default_settings(part, units)) if is_dataclass(part) else ""
     return f"{kind}: {values}" if values else kind
 
 
-def _describe_changed_settings(part: Any, units: Mapping[str, str]) -> Iterator[str]:
+def _describe_non_default_settings(part: Any, units: Mapping[str, str]) -> Iterator[str]:
     members = sorted(
         fields(part), key=lambda member: member.name == "relative"
     )  # last, before the words on it

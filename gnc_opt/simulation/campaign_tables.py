@@ -26,7 +26,7 @@ CampaignStatistics: TypeAlias = Any
 """A `gnc_opt.simulation.Campaign`; not imported here to avoid a circular import."""
 
 
-def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
+def select_printed_performance_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
     """Return the measures to print: those with limits first, then errors, user-defined measures and efforts.
 
     The error of an attitude with a limited angle is omitted, which is the same number.
@@ -64,7 +64,7 @@ def build_campaign_table_rows(
     """
     titles = *(f"{100 * level:g} %" for level in levels), "largest", "limit", "pass rate"
     rows = [["measure", "unit", *titles]]
-    for name in select_printed_measures(campaign):
+    for name in select_printed_performance_measures(campaign):
         found = [campaign.percentile(name, level) for level in levels]
         numbers = [
             _format_performance_statistic(p.value) + (_format_confidence_interval(p) if intervals else "")
@@ -97,7 +97,7 @@ def format_confidence_and_event_notes(campaign: CampaignStatistics) -> list[str]
     needed = {level: math.ceil(math.log(tail) / math.log(level)) for level in LEVELS}  # level^n <= tail
     if few := ", ".join(f"{100 * level:g} % (needs {n} runs)" for level, n in needed.items() if n > runs):
         notes.append(f"With {runs} runs these percentiles have no upper confidence limit: {few}.")
-    if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
+    if all(np.isfinite(campaign.maximum(name)) for name in select_printed_performance_measures(campaign)):
         share = f"{100 * share_below_maximum(runs):.2f} % of all runs"
         notes.append(
             f"With the same confidence (one-sided), {share} stay below the largest value of each measure."
@@ -149,7 +149,7 @@ def build_campaign_summary_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         ],
         "measures": {
             name: _build_performance_statistics_dict(campaign, name)
-            for name in select_printed_measures(campaign)
+            for name in select_printed_performance_measures(campaign)
         }
         if runs
         else {},

@@ -109,7 +109,7 @@ class ClosedLoop:
         set_(self, "accuracy", read_positive_number(self.accuracy, "the accuracy of a closed loop"))
         if self.substeps is not None:
             read_integer(self.substeps, "substeps of a closed loop", 1)
-        self.plant.derivative()
+        self.plant.state_derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
             parts = _read_closed_loop_parts(
                 getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"
@@ -250,7 +250,7 @@ class ClosedLoop:
     def _choose_integration_substeps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        modes = accuracy.compute_initial_eigenvalues(
+        modes = accuracy.compute_initial_plant_eigenvalues(
             times[0], *self._read_initial_states_and_parameters(nominal)
         )
         duration = float(times[-1] - times[0])

@@ -16,7 +16,12 @@ from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, connect_blocks, get_signal_sizes_and_units
+from gnc_opt.simulation.block_signal_chain import (
+    BlockLink,
+    Kinds,
+    connect_block_chain,
+    get_signal_sizes_and_units,
+)
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.recorded_extremes_and_integrals import Quantities, Quantity
 from gnc_opt.simulation.sensor_and_actuator_block import Block, StepContext
@@ -68,7 +73,7 @@ def _check_equal_units(what: str, plant: Model, unit: str, expected: str, contro
         )
 
 
-def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) -> None:
+def check_actuator_outputs(plant: Model, applied: Kinds, controller: Controller) -> None:
     """Raise an error for actuator outputs that are not controls of the plant."""
     for name, (size, unit) in applied.items():
         if name not in plant.controls:
@@ -201,16 +206,16 @@ def connect_closed_loop(
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
     require_distinct_names([block.name for block in every], "blocks of the closed loop")
-    actuators, applied = connect_blocks(
+    actuators, applied = connect_block_chain(
         blocks.actuators, get_signal_sizes_and_units(controller.commands), "command"
     )
-    check_applied_signals(plant, applied, controller)
+    check_actuator_outputs(plant, applied, controller)
     sensors = _connect_sensor_blocks(controller, blocks.sensors)
     targets = get_signal_sizes_and_units(plant.controls) | {
         n: (size, f"{unit}/s".replace("/s/s", "/s^2"))
         for n, (size, unit) in get_signal_sizes_and_units(plant.states).items()
     }
-    disturbances = [connect_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    disturbances = [connect_block_chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
         Events.from_declarations(plant, blocks.events),
         Quantities.from_declarations(plant, blocks.quantities),
@@ -260,7 +265,7 @@ def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
 
 def _connect_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
     states = get_signal_sizes_and_units(controller.states)
-    links, seen = connect_blocks(blocks, states, "measured state")
+    links, seen = connect_block_chain(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
     return tuple(links)

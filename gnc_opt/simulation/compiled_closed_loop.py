@@ -238,7 +238,7 @@ class CompiledLoop:
             if at.size:
                 for name in ("measured", "commands", "applied"):
                     log[name].append(logs[name][:, at])
-                self._log_segment_signals(
+                self._log_run_segment_signals(
                     log, parts, at, course.interpolate_reference(self.times[first + at])
                 )
             if self._has_event_ended_run(X[0]):
@@ -246,7 +246,7 @@ class CompiledLoop:
         final = self.kernel.state.split_vector_by_name(X[:1].T)
         ended = self._find_run_end_times(final)
         followed = self._evaluate_reference_at_run_end(course, X[:1].T)
-        self._log_segment_signals(log, final, np.array([0]), followed)
+        self._log_run_segment_signals(log, final, np.array([0]), followed)
         ending = self._collect_final_states_of_runs(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
         times = np.append(self.times[kept[kept < last]], ended)
@@ -292,8 +292,8 @@ class CompiledLoop:
         followed = self._reference_schedule_by_step if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
         numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
-        written = again and planned and len(self._segment_boundary_steps) == 2
-        for first, last in itertools.pairwise(self._segment_boundary_steps):
+        written = again and planned and len(self._run_segment_boundary_steps) == 2
+        for first, last in itertools.pairwise(self._run_segment_boundary_steps):
             rows = known[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
@@ -311,7 +311,7 @@ class CompiledLoop:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
-    def _segment_boundary_steps(self) -> list[int]:
+    def _run_segment_boundary_steps(self) -> list[int]:
         """Steps at which a segment starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
@@ -388,7 +388,7 @@ class CompiledLoop:
             if all(self._has_event_ended_run(x) for x in X):
                 return
 
-    def _log_segment_signals(
+    def _log_run_segment_signals(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
         """Log the states of a segment at its columns ``at``, and the reference there."""
@@ -429,7 +429,7 @@ class CompiledLoop:
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
-            else self.classifier.classify_run(parts, i, assessed[i])
+            else self.classifier.classify_run_outcome(parts, i, assessed[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))

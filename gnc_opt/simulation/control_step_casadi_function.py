@@ -63,7 +63,7 @@ class _ControlStepWithEvents:
         state = self.state.split_vector_by_name(column)
         begin = ca.Function("begin", [column, known, self.P], [
             self.state.stack_vector_by_name(
-                self.base.update_disturbances(state, self.known.split_vector_by_name(known))
+                self.base.update_disturbance_memories(state, self.known.split_vector_by_name(known))
             )
         ])  # fmt: skip
         now, notes = begin(x, w, P), ca.MX.zeros(self.event_log_layout.size)
@@ -85,7 +85,7 @@ class _ControlStepWithEvents:
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split_vector_by_name(column), self.known.split_vector_by_name(known)
-        new, tick = dict(state), self.base.build_minor_step_context(i, w, state)
+        new, tick = dict(state), self.base.build_minor_step_time_and_state(i, w, state)
         waves, saturated = self.base.evaluate_actuator_blocks(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
@@ -187,11 +187,11 @@ class LoopKernel:
 
 def build_closed_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
     """Return the kernel with ``substeps`` integration steps per minor step."""
-    return _KernelBuilder(wiring, substeps).build_control_loop_kernel()
+    return _KernelBuilder(wiring, substeps).assemble_closed_loop_kernel()
 
 
 class _KernelBuilder(ControlStep):
-    def build_control_loop_kernel(self) -> LoopKernel:
+    def assemble_closed_loop_kernel(self) -> LoopKernel:
         constants, act = self._build_actuator_and_plant_step_functions()
         step, easy = (
             self._build_closed_loop_step_function(constants, act),
@@ -223,7 +223,7 @@ class _KernelBuilder(ControlStep):
             parts |= self.build_initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
             parts[f"push {i}"] = link.block.initial_memory(
-                ca.SX.zeros(link.size), self.select_parameters(link), tick
+                ca.SX.zeros(link.size), self.select_block_parameters(link), tick
             )
         before = ca.Function("before", [column, self.P], [y, self.state.stack_vector_by_name(parts)])
         kind = _get_casadi_symbol_type(wiring.controller.start)
@@ -286,10 +286,10 @@ class _KernelBuilder(ControlStep):
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
         z = ca.SX.sym("z", wiring.controller.memory.size)
         state, w = self.state.split_vector_by_name(column_x), self.known.split_vector_by_name(column)
-        new = self.update_disturbances(state, w)
+        new = self.update_disturbance_memories(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.build_minor_step_context(i, w, new)
+            tick = self.build_minor_step_time_and_state(i, w, new)
             waves, saturated = self.evaluate_actuator_blocks(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (

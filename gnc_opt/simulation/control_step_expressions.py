@@ -94,11 +94,13 @@ class ControlStep:
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = StepContext(0.0, length, self.wiring.dt, self.split_plant_state(x))
         return [
-            link.block.initial_memory(ca.SX.zeros(link.size), self.select_parameters(link), tick).shape[0]
+            link.block.initial_memory(ca.SX.zeros(link.size), self.select_block_parameters(link), tick).shape[
+                0
+            ]
             for link in links
         ]
 
-    def select_parameters(self, link: BlockLink) -> dict[str, Any]:
+    def select_block_parameters(self, link: BlockLink) -> dict[str, Any]:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
@@ -120,7 +122,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.sensors):
             key, p, signal = (
                 f"sensor {i}",
-                self.select_parameters(link),
+                self.select_block_parameters(link),
                 stack_named_signals(signals, link.on),
             )
             before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
@@ -131,7 +133,7 @@ class ControlStep:
 
     def _build_plant_output_expression(self, name: str, t: Any, x: Any) -> Any:
         plant = self.wiring.plant
-        time, xs, _, ps = plant.arguments()
+        time, xs, _, ps = plant.symbolic_arguments()
         expression = plant.output_expression(name)
         return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
 
@@ -148,7 +150,7 @@ class ControlStep:
             noise = w[key][minor * count : (minor + 1) * count]
             wave = stack_actuator_waveforms([waves[n] for n in link.on])
             wave, step = link.block.propagate_wave(
-                tick, wave, memory[key], self.select_parameters(link), noise
+                tick, wave, memory[key], self.select_block_parameters(link), noise
             )
             memory[key] = step.state
             _mark_saturated_components(saturated, step, link, origin)
@@ -165,7 +167,7 @@ class ControlStep:
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
-            block, p = link.block, self.select_parameters(link)
+            block, p = link.block, self.select_block_parameters(link)
             signal = (
                 stack_named_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             )
@@ -195,7 +197,8 @@ class ControlStep:
             by_name = self.split_plant_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
-                value = link.block.value(t, by_name, memories[f"push {i}"], self.select_parameters(link))  # type: ignore[attr-defined]
+                memory, p = memories[f"push {i}"], self.select_block_parameters(link)
+                value = link.block.value(t, by_name, memory, p)  # type: ignore[attr-defined]
                 if link.on[0] in plant.controls:
                     extra_u[plant.controls.slice(link.on[0])] += value
                 else:
@@ -239,18 +242,20 @@ class ControlStep:
             record_integration_step,
         )
 
-    def build_minor_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
+    def build_minor_step_time_and_state(
+        self, i: int, w: dict[str, Any], state: dict[str, Any]
+    ) -> StepContext:
         return StepContext(
             w["t"] + i * self.h, self.h, self.wiring.dt, self.split_plant_state(state["plant"])
         )
 
-    def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
+    def update_disturbance_memories(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
         """Return the state with the disturbances' memories for this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
             tick = StepContext(w["t"], self.wiring.dt, self.wiring.dt, self.split_plant_state(state["plant"]))
-            new[key] = link.block.update(tick, state[key], self.select_parameters(link), w[key])  # type: ignore[attr-defined]
+            new[key] = link.block.update(tick, state[key], self.select_block_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
     def accumulate_control_effort(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:

@@ -145,7 +145,7 @@ class PiecewiseConstantNoise(Disturbance):
     def noise_size(self, size: int) -> int:
         return size
 
-    def _count_steps_per_noise_value(self, dt: float) -> int:
+    def _count_steps_per_noise_sample(self, dt: float) -> int:
         return max(
             1,
             count_steps_in_duration(
@@ -154,7 +154,7 @@ class PiecewiseConstantNoise(Disturbance):
         )
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        self._count_steps_per_noise_value(dt)
+        self._count_steps_per_noise_sample(dt)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0] + 1)
@@ -163,7 +163,7 @@ class PiecewiseConstantNoise(Disturbance):
         size = state.shape[0] - 1
         drawn = ca.if_else(is_step_counter_zero(state[size]), noise, state[:size])
         return ca.vertcat(
-            drawn, advance_step_counter(state[size], self._count_steps_per_noise_value(tick.dt))
+            drawn, advance_step_counter(state[size], self._count_steps_per_noise_sample(tick.dt))
         )
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:

@@ -27,7 +27,7 @@ from gnc_opt.simulation.campaign_batches_and_checkpoints import (
     CampaignTask,
     RunBatch,
     find_unsimulated_batches,
-    get_batch_results_or_failure,
+    get_run_batch_results,
     halve_run_batch,
     load_stored_runs,
     merge_run_batches,
@@ -207,20 +207,20 @@ def monte_carlo(
     ):
 
         def store_run_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
-            for part in get_batch_results_or_failure(batch):
+            for part in get_run_batch_results(batch):
                 if folder is not None and part.ending is not None:
                     store_run_batch_file(
                         folder,
                         merge_run_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target),
                     )
-            show(*_count_runs_and_failures(get_batch_results_or_failure(batch)))
+            show(*_count_runs_and_failures(get_run_batch_results(batch)))
 
         if before:
             show(*_count_runs_and_failures(before))
         todo = find_unsimulated_batches(n, [part.batch for part in before])
         done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_run_batch)
     batches = sorted(
-        [*before, *(part for batch in done for part in get_batch_results_or_failure(batch))],
+        [*before, *(part for batch in done for part in get_run_batch_results(batch))],
         key=lambda part: part.batch.start,
     )
     _require_any_completed_run(batches)

@@ -81,7 +81,7 @@ class Quantities:
         ]
         layout = Layout("quantity", tuple(Variable(q.name, 1, q.unit) for q in declared), "the closed loop")
         y = ca.densify(ca.vertcat(ca.SX(0, 1), *rows))
-        return cls(layout, ca.Function("quantities", plant.arguments(), [y]))
+        return cls(layout, ca.Function("quantities", plant.symbolic_arguments(), [y]))
 
 
 def create_empty_extremes_record(count: int) -> Any:

@@ -91,7 +91,7 @@ class PlanUpdater(Protocol):
     def predict_state(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
 
-    def solve_plan(self, begin: float, x: Array, near: Any) -> Any:
+    def replan_from_state(self, begin: float, x: Array, near: Any) -> Any:
         """Return the plan from a time (s) and a state (n_states,), warm-started from a known plan."""
 
     def evaluate_plan_schedule(self, plan: Any, times: Array, dt: float, size: int) -> Array:
@@ -139,9 +139,9 @@ class ActiveReference:
             return  # the previous plan is not in force yet
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
-        self.replans.append(self._replan_remaining_steps(planner, step, step + late, start))
+        self.replans.append(self._replan_remaining_trajectory(planner, step, step + late, start))
 
-    def _replan_remaining_steps(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
+    def _replan_remaining_trajectory(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
         """Re-plan the steps from ``first`` on; the old plan is kept if the solve fails."""
         t, begin = float(self.times[step]), float(self.times[first])
         begun = time.perf_counter()
@@ -149,7 +149,7 @@ class ActiveReference:
             if not np.isfinite(x).all():
                 raise GncOptError("the estimated state is not a number")
             state = planner.predict_state(self._path, t, x, begin, self.dt)
-            plan = planner.solve_plan(begin, state, self._plan)
+            plan = planner.replan_from_state(begin, state, self._plan)
             rows = planner.evaluate_plan_schedule(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # any failure of a solver or design keeps the old plan

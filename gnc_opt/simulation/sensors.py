@@ -58,7 +58,9 @@ class Noise(Block):
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
-            _check_retraction(self.retraction, size, self.noise_size(size), f"sigma of '{self.name}'")
+            _check_state_retraction_size(
+                self.retraction, size, self.noise_size(size), f"sigma of '{self.name}'"
+            )
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         error = p["sigma"] * noise
@@ -92,7 +94,7 @@ class Bias(Block):
     def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
             count = int(np.size(read_float_array(self.bias, self.name)))
-            _check_retraction(self.retraction, size, count, f"the bias of '{self.name}'")
+            _check_state_retraction_size(self.retraction, size, count, f"the bias of '{self.name}'")
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(
@@ -174,7 +176,9 @@ class SensorOutage(Block):
         return Step(ca.if_else(out, math.nan, signal), state)
 
 
-def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:
+def _check_state_retraction_size(
+    retraction: Callable[[Any, Any], Any], size: int, count: int, what: str
+) -> None:
     arguments = ca.SX.sym("x", size), ca.SX.sym("e", count)
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"

@@ -49,7 +49,7 @@ class OutcomeClassifier:
     failures: tuple[str, ...]
     accuracy: float
 
-    def classify_run(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
+    def classify_run_outcome(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
         """Return the outcome of run i from the kernel states by name (., n) and the estimated error."""
         watched, diverged, alarm = (int(parts[name][0, i]) for name in ("fault", "divergence", "alarm"))
         if watched:

@@ -81,7 +81,7 @@ class StepSelection:
     asked: float
     substeps: int | None
 
-    def compute_initial_eigenvalues(self, t: float, x: Array, p: Array) -> Array:
+    def compute_initial_plant_eigenvalues(self, t: float, x: Array, p: Array) -> Array:
         """Return the initial modes of the plant (n_states,), complex, 1/s; empty if a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)

@@ -24,7 +24,7 @@ def read_plant_expression(
 ) -> Any:
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
     expression = convert_to_sx_column(value, what, size, ArgumentError)
-    t, x, u, p = plant.arguments()
+    t, x, u, p = plant.symbolic_arguments()
     foreign = find_unknown_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:
         kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
@@ -185,7 +185,7 @@ class Events:
         require_distinct_names([event.name for event in declared], "events of the closed loop")
         if not declared:
             return cls((), (), None, None)
-        t, x, _, p = plant.arguments()
+        t, x, _, p = plant.symbolic_arguments()
         rate = ca.SX.sym("dx_dt", plant.states.size)
         signed = [
             (sign * _read_zero_crossing_condition(event, plant), owner)
@@ -218,7 +218,7 @@ def _read_zero_crossing_condition(event: Event, plant: Model) -> Any:
         _read_event_expression(event, event.expression, "the expression", plant),
         "the expression of event",
     )
-    t, x, _, _ = plant.arguments()
+    t, x, _, _ = plant.symbolic_arguments()
     if not ca.depends_on(found, ca.vertcat(t, x)):
         raise ArgumentError(
             f"{what} '{event.name}' depends neither on a state nor on the time, and never passes through zero: "

@@ -104,12 +104,12 @@ class _ZeroCrossingPropagation:
                 *build_event_log_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_propagation_context_inputs()
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_remaining_flow_inputs()
         self.lowest = self._build_zero_crossing_function()
         self.newton = self._compute_newton_or_bisection_step()
         self.effect = self._build_event_reset_function()
 
-    def _list_propagation_context_inputs(self) -> list[tuple[str, int]]:
+    def _list_remaining_flow_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.flow.size1_in(i)) for i in range(4, self.flow.n_in())]
 
     def _create_event_step_symbols(self, *more: tuple[str, int]) -> list[Any]:
@@ -185,7 +185,7 @@ class _ZeroCrossingPropagation:
             ("x", self.flow.size1_in(0)),
             ("armed", self.n_rows),
             ("s", 1),
-            *self._list_propagation_context_inputs(),
+            *self._list_remaining_flow_inputs(),
         )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
@@ -255,7 +255,7 @@ class _ZeroCrossingPropagation:
                 ("r", 5), ("x", self.flow.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._list_propagation_context_inputs()]
+        context = [ca.MX.sym(name, size) for name, size in self._list_remaining_flow_inputs()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
         _, _, y, slope, *_ = self.flow(x, armed, s, r[0], *context)

@@ -116,7 +116,7 @@ def test_poles_of_both_laws() -> None:
 def test_decoupling_and_diffeomorphism_vanish_with_the_scalar_part_only() -> None:
     craft, random = wheel_model(drive="body"), np.random.default_rng(3)
     q, w = craft.symbol("q"), craft.symbol("omega")
-    rate = craft.derivative()[1:4]
+    rate = craft.state_derivative()[1:4]
     # in the paper's order of states, scalar part last
     jacobian = ca.jacobian(ca.vertcat(q[1:], q[0], rate), ca.vertcat(q[1:], q[0], w))
     determinant = ca.Function("d", [craft.symbols("state")], [ca.det(jacobian)])

@@ -135,7 +135,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_variable_name,
 )
 from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
-from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_blocks
+from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_block_chain
 from gnc_opt.simulation.campaign_performance_measures import compute_percentile_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,

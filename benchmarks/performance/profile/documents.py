@@ -114,11 +114,11 @@ class _Scaled:
         problem, phase, model = self.problem, self.phase, self.phase.model
         paths, bounds = phase.path_expression(), phase.get_path_bounds()
         column = ca.vertcat(
-            model.derivative() * ca.DM(self.time / self.states),
+            model.state_derivative() * ca.DM(self.time / self.states),
             paths / ca.DM(_row_magnitude(bounds)),
             phase.integrand_expression() * (self.time / self.objective),
         )
-        t, x, u, p = model.arguments()
+        t, x, u, p = model.symbolic_arguments()
         column = ca.substitute(problem.substitute_parameters(phase, column), p, ca.DM(model.parameter_values))
         symbols = ca.vertcat(t, x, u, problem.parameter_symbols())
         scales = np.concatenate([[self.time], self.states, self.controls, self.parameters])

@@ -201,7 +201,7 @@ def _parts() -> Iterator[Value]:
     yield Value("reference rate of r, m/s", climb)
     yield Value("reference alpha, rad", model.RATE * model.DURATION + lead / model.RADIUS)
     errors = control.surface(plan, control.Gains())
-    parts = errors.pair.build_plant_reference_function(
+    parts = errors.pair.build_function_of_plant_and_reference(
         errors.chains[0][0], errors.chains[0][1], errors.decoupling[0]
     )
     s, rate, effect = (float(v) for v in parts(0.0, model.first_state(), [0.0], plan.x(0.0), [0.0]))
@@ -284,7 +284,7 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
     """
     plan = model.reference(duration=m.times[-1])
     errors = control.surface(plan, control.Gains())
-    drift = errors.pair.build_plant_reference_function(errors.drift[0])
+    drift = errors.pair.build_function_of_plant_and_reference(errors.drift[0])
     kept, references = np.flatnonzero(m.times[:-1] >= begin - 1e-9), m.run.reference
     assert references is not None
     n, nothing = kept.size, np.zeros((1, kept.size))

@@ -21,7 +21,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_float_array, read_variable_name, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloatType, write_c_statements
-from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
+from gnc_opt.control.c_export.c_table_of_references_and_gains import (
+    CScheduleTable,
+    tabulate_references_and_gains,
+)
 from gnc_opt.control.discrete_time_controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout
@@ -123,7 +126,7 @@ def export_c(
     step, start = (
         _expand_law_to_scalar_function(f, form) for f in (form.controller.step, form.controller.start)
     )
-    table = tabulate_schedule(form.controller, dt, span)
+    table = tabulate_references_and_gains(form.controller, dt, span)
     files = CSourceFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)

@@ -53,7 +53,9 @@ class CScheduleTable:
         ]
 
 
-def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> CScheduleTable:
+def tabulate_references_and_gains(
+    controller: Controller, dt: float, span: tuple[float, float] | None
+) -> CScheduleTable:
     if controller.signals.size == 0:
         return CScheduleTable(0.0, np.zeros((1, 0)), controller.signals)
     found = controller.span if span is None else span

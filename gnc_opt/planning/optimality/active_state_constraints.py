@@ -151,7 +151,7 @@ class StateConstraints:
 
     def _build_constraint_derivative_function(self, row: int, k: int) -> Any:
         phase = self.problem.phases[self.samples.leg.name]
-        t, x, u, p = phase.model.arguments()
+        t, x, u, p = phase.model.symbolic_arguments()
         expression = self.get_constraint_order(row).derivatives[k]
         return ca.Function(
             "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]

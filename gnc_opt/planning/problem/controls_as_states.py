@@ -126,7 +126,7 @@ def _get_control_symbol(phase: MutablePhase, name: str, what: str) -> Symbol:
             f"{what}() of {phase.label} got '{name}', but '{owner}' is made of several controls: "
             "declare it with control()."
         )
-    if name in phase.model.equations:
+    if name in phase.model.algebraic_equations:
         raise ProblemError(
             f"{what}() of {phase.label} got '{name}', which is an algebraic variable: limit other controls."
         )

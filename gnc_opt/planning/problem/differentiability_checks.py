@@ -101,7 +101,7 @@ def _find_first_kink_by_type(
     problem: ProblemData, phase: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
-    t, x, u, _ = phase.model.arguments()
+    t, x, u, _ = phase.model.symbolic_arguments()
     free = [phase.model.symbol(name) for name in problem.parameters.names if name in phase.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
     reported: set[str] = set()
@@ -287,7 +287,7 @@ def warn_of_singular_end_states(problem: ProblemData, phase: Phase) -> None:
     """Issue a `ProblemWarning` for functions with derivatives that are not finite at given initial or final states."""
     guessed, (*at, p), q = (
         _GuessSamples.from_phase(phase),
-        phase.model.arguments(),
+        phase.model.symbolic_arguments(),
         problem.parameter_symbols(),
     )
     times, inside, controls = (values[..., [0, -1]] for values in guessed.along)
@@ -352,7 +352,7 @@ def _get_phase_functions_with_jacobian(
     problem: ProblemData, phase: Phase
 ) -> list[tuple[str, tuple[str, ...], Any]]:
     """Return kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
-    t, x, u, p = phase.model.arguments()
+    t, x, u, p = phase.model.symbolic_arguments()
     q = problem.parameter_symbols()
 
     def build_phase_functions_with_jacobian() -> list[tuple[str, tuple[str, ...], Any]]:
@@ -373,7 +373,7 @@ def _get_phase_functions_with_jacobian(
 
 def _list_rates_paths_and_integrands(phase: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
     return (
-        ("the rate of state", phase.model.states.labels, phase.model.derivative()),
+        ("the rate of state", phase.model.states.labels, phase.model.state_derivative()),
         ("path constraint", phase.path_labels, phase.path_expression()),
         ("integral", tuple(phase.integrands), phase.integrand_expression()),
     )

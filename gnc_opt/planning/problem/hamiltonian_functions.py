@@ -223,14 +223,14 @@ def compile_phase_functions(
 
 
 def _build_hamiltonian_and_rate_functions(problem: Problem, phase: Phase) -> dict[str, Any]:
-    t, x, u, p = phase.model.arguments()
+    t, x, u, p = phase.model.symbolic_arguments()
     q = problem.parameter_symbols()
     lam = ca.SX.sym("lam", x.shape[0])
     mu = ca.SX.sym("mu", len(phase.path_labels))
     weights = ca.SX.sym("weights", len(phase.integrands))
     f, c, integrands = (
         problem.substitute_parameters(phase, e)
-        for e in (phase.model.derivative(), phase.path_expression(), phase.integrand_expression())
+        for e in (phase.model.state_derivative(), phase.path_expression(), phase.integrand_expression())
     )
     hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
     augmented = hamiltonian + ca.dot(mu, c)

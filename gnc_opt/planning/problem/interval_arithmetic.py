@@ -149,7 +149,7 @@ class SymbolRanges:
                 values.lower[place], values.upper[place] = box.lower, box.upper
         time = Interval(initial.lower, final.upper)
         boxes = (time, phase.numbers.states, phase.numbers.controls, values, problem.get_parameter_bounds())
-        return cls((*phase.model.arguments(), problem.parameter_symbols()), boxes)
+        return cls((*phase.model.symbolic_arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
     def from_boundary_variables(cls, problem: ProblemData) -> SymbolRanges:
@@ -170,7 +170,9 @@ class SymbolRanges:
                 intersect_bounds(numbers.final, numbers.states),
                 unbounded_interval(len(phase.integrands)),
             ]
-            own = zip(ca.vertsplit(phase.model.arguments()[3]), phase.model.parameter_values, strict=True)
+            own = zip(
+                ca.vertsplit(phase.model.symbolic_arguments()[3]), phase.model.parameter_values, strict=True
+            )
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
         symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))

@@ -55,8 +55,8 @@ def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctio
     """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
     def collect_kink_functions() -> KinkFunctions | None:
-        _, x, u, _ = phase.model.arguments()
-        expression = ca.vertcat(phase.model.derivative(), phase.integrand_expression())
+        _, x, u, _ = phase.model.symbolic_arguments()
+        expression = ca.vertcat(phase.model.state_derivative(), phase.integrand_expression())
         if not has_kinks(expression):
             return None
         looked_up = frozenset[int]().union(
@@ -86,7 +86,7 @@ def build_threshold_crossing_function(problem: ProblemData, phase: Phase) -> Any
     """
 
     def collect_threshold_comparisons() -> Any:
-        t, x, _, _ = phase.model.arguments()
+        t, x, _, _ = phase.model.symbolic_arguments()
         moving, found = ca.vertcat(t, x), {}
         for node in iterate_subexpressions(stack_phase_expressions(phase)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):

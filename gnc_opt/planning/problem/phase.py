@@ -122,7 +122,7 @@ class Phase(StrictAttributes):
             f"equation of {z}": make_constraint(
                 f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
             )
-            for z, g in model.equations.items()
+            for z, g in model.algebraic_equations.items()
         }
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
@@ -136,7 +136,7 @@ class Phase(StrictAttributes):
         # These states start again in the next phase, unless a link names them.
         self.own_states: frozenset[str] = frozenset()
         self._create_boundary_symbols()
-        self._record_nonaffine_vector_controls(model.derivative())
+        self._record_nonaffine_vector_controls(model.state_derivative())
 
     def _create_boundary_symbols(self) -> None:
         self.initial_time: Any = Symbol(Variable(f"{self.name}_initial_time"))
@@ -512,7 +512,7 @@ class Phase(StrictAttributes):
         """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
         lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
-        for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
+        for expression in (self.model.state_derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vector_controls(expression)
         self._constrain_direction_to_unit_length(vector)
         if on_sphere is not None:

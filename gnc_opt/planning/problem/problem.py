@@ -98,8 +98,10 @@ def _list_numeric_arrays_of_bounds(box: Any) -> Iterable[Array]:
 
 
 def _serialise_phase_expressions(problem: ProblemData, phase: Phase) -> bytes:
-    expressions = [phase.model.derivative(), phase.path_expression(), phase.integrand_expression()]
-    return _serialise_expressions([*phase.model.arguments(), problem.parameter_symbols()], expressions)
+    expressions = [phase.model.state_derivative(), phase.path_expression(), phase.integrand_expression()]
+    return _serialise_expressions(
+        [*phase.model.symbolic_arguments(), problem.parameter_symbols()], expressions
+    )
 
 
 def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
@@ -220,7 +222,7 @@ class Problem(ProblemData):
         )
         for parameter in self.parameters.variables:
             check_parameter_size(parameter.name, parameter.size, model, self.name)
-        model.derivative()
+        model.state_derivative()
         model.forbid_further_declarations(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
         self.clear_cache()

@@ -225,7 +225,7 @@ def check_unused_controls(problem: ProblemData) -> None:
     ends = _collect_used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
     for phase in problem.phases.values():
         counts = [value for symbol, value in phase.integrands.values() if symbol.element_hash() in ends]
-        acted_on = ca.vertcat(phase.model.derivative(), phase.path_expression(), *counts)
+        acted_on = ca.vertcat(phase.model.state_derivative(), phase.path_expression(), *counts)
         used = _collect_used_symbols([problem.substitute_parameters(phase, acted_on)])
         for variable in phase.model.controls.variables:
             idle = _find_unused_variable_components(variable, phase.model.symbol(variable.name), used)
@@ -290,7 +290,11 @@ def describe_missing_bounds(problem: ProblemData) -> str:
 
 def _find_unbounded_controls(phase: Phase) -> list[str]:
     """Return the controls of a phase that enter the dynamics affinely, without limits and without cost."""
-    box, u, rates = phase.numbers.controls, phase.model.arguments()[2], phase.model.derivative()
+    box, u, rates = (
+        phase.numbers.controls,
+        phase.model.symbolic_arguments()[2],
+        phase.model.state_derivative(),
+    )
     if phase.vector_controls:  # these are limited by their length
         return []
     limits = ca.vertcat(phase.path_expression(), phase.integrand_expression())

@@ -79,7 +79,7 @@ def _create_all_false_state_mask(phase: Phase) -> Mask:
 
 
 def _build_rates_of_controlled_states(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
-    rates = phase.model.derivative()
+    rates = phase.model.state_derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, phase.model.symbols("control")).row(), dtype=int))
     return rows, build_function_along_phase(problem, phase, "rates", rates[rows.tolist()])
 
@@ -124,7 +124,7 @@ def _is_vector_norm_constant(problem: ProblemData, phase: Phase, places: Indices
 
     def build_vector_norm_rate_function() -> Any:
         rows = places.tolist()
-        products = phase.model.symbols("state")[rows] * phase.model.derivative()[rows]
+        products = phase.model.symbols("state")[rows] * phase.model.state_derivative()[rows]
         return build_function_along_phase(problem, phase, "along_itself", products)
 
     terms = problem.memoize(
@@ -168,7 +168,7 @@ def find_nonimplied_bounds(problem: ProblemData, phase: Phase) -> Interval:
 
 def find_sum_of_squares_variables(phase: Phase, expression: Any) -> tuple[list[int], float]:
     """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
-    t, x, u, p = phase.model.arguments()
+    t, x, u, p = phase.model.symbolic_arguments()
     symbols = ca.vertcat(x, u)
     if ca.depends_on(expression, ca.vertcat(t, p)) or not ca.is_quadratic(expression, symbols):
         return [], 0.0
@@ -227,7 +227,7 @@ def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval)
 
 def build_angle_invariance_test(problem: ProblemData, phase: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
-    t, x, u, _ = phase.model.arguments()
+    t, x, u, _ = phase.model.symbolic_arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.memoize(

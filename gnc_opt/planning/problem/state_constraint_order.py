@@ -51,8 +51,8 @@ def get_constraint_order(problem: ProblemData, phase: Phase, row: int) -> Constr
 
 
 def _derive_constraint_order(problem: ProblemData, phase: Phase, row: int) -> ConstraintOrder:
-    t, x, u, _ = phase.model.arguments()
-    rates = problem.substitute_parameters(phase, phase.model.derivative())
+    t, x, u, _ = phase.model.symbolic_arguments()
+    rates = problem.substitute_parameters(phase, phase.model.state_derivative())
     value = problem.substitute_parameters(phase, ca.vertcat(phase.path_expression(), x)[row])
     return differentiate_until_controls_appear(
         (*phase.path_labels, *phase.model.states.labels)[row], value, t, x, u, rates

@@ -49,12 +49,12 @@ class OutsideTable:
 
 def stack_phase_expressions(phase: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
-    return ca.vertcat(phase.model.derivative(), phase.path_expression(), phase.integrand_expression())
+    return ca.vertcat(phase.model.state_derivative(), phase.path_expression(), phase.integrand_expression())
 
 
 def build_function_along_phase(problem: ProblemData, phase: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
-    arguments = [*phase.model.arguments(), problem.parameter_symbols()]
+    arguments = [*phase.model.symbolic_arguments(), problem.parameter_symbols()]
     values = [ca.densify(problem.substitute_parameters(phase, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
@@ -158,7 +158,7 @@ def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expres
         return
     name = foreign[0]
     for phase in phases:
-        if name not in find_unknown_symbols(expression, list(phase.model.arguments())):
+        if name not in find_unknown_symbols(expression, list(phase.model.symbolic_arguments())):
             raise ProblemError(
                 f"{what} uses '{name}', which varies along phase '{phase.name}': use "
                 f"{phase.name}.final_state(...), {phase.name}.initial_state(...) or {phase.name}.integral(...)."
@@ -178,7 +178,7 @@ def check_phase_symbols(
     what: str,
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
-    foreign = find_unknown_symbols(expression, [*phase.model.arguments(), free_parameters])
+    foreign = find_unknown_symbols(expression, [*phase.model.symbolic_arguments(), free_parameters])
     if not foreign:
         return
     name = foreign[0]

@@ -166,8 +166,8 @@ def _is_time_optimal(problem: Problem, phase: Phase, found: float) -> bool:
 
 def _has_linear_dynamics(phase: Phase) -> bool:
     """Return whether dx/dt = A x + b(u), with path constraints on controls only or convex ones on states."""
-    t, x, u, _ = phase.model.arguments()
-    rates, rows = phase.model.derivative(), phase.path_expression()
+    t, x, u, _ = phase.model.symbolic_arguments()
+    rates, rows = phase.model.state_derivative(), phase.path_expression()
     curved = has_kinks(rates) or _depends_on_symbols(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
@@ -202,8 +202,8 @@ def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
     solved = solution.phase()
     t, target = solved.final_time, phase.numbers.final.lower
     box, limits = phase.numbers.controls, phase.get_path_bounds()
-    _, x, u, p = phase.model.arguments()
-    along = ca.Function("along", [x, u, p], [phase.model.derivative(), phase.path_expression()])
+    _, x, u, p = phase.model.symbolic_arguments()
+    along = ca.Function("along", [x, u, p], [phase.model.state_derivative(), phase.path_expression()])
     span = max(t - solved.initial_time, ROUNDING)
     rates = np.maximum(np.ptp(solved.x(solved.sample_times(4), "right"), axis=1) / span, ROUNDING)
 

@@ -54,7 +54,7 @@ def _list_states_closed_under_dynamics(problem: Problem) -> Iterator[Mask]:
     ties = [_find_states_in_end_expression(problem, problem.constraint_expression())]
     for i, phase in enumerate(legs):
         own, x = owner == i, phase.model.symbols("state")
-        needs[np.ix_(own, own)] |= _build_jacobian_sparsity_mask(phase.model.derivative(), x)
+        needs[np.ix_(own, own)] |= _build_jacobian_sparsity_mask(phase.model.state_derivative(), x)
         rows = np.zeros((phase.path_expression().numel(), owner.size), dtype=bool)
         rows[:, own] = _build_jacobian_sparsity_mask(phase.path_expression(), x)
         ties.append(rows)
@@ -104,8 +104,8 @@ def _find_states_in_end_expression(problem: Problem, expression: Any) -> Mask:
 class _ReducedPhase:
     def __init__(self, phase: Phase, states: Mask, integrals: Mask) -> None:
         self.leg, self.states = phase, states
-        _, x, u, _ = phase.model.arguments()
-        rates, paths = phase.model.derivative()[np.flatnonzero(states)], phase.path_expression()
+        _, x, u, _ = phase.model.symbolic_arguments()
+        rates, paths = phase.model.state_derivative()[np.flatnonzero(states)], phase.path_expression()
         self.integrands = {
             name: integrand
             for used, (name, (_, integrand)) in zip(integrals, phase.integrands.items(), strict=True)
@@ -131,7 +131,7 @@ class _ReducedPhase:
     def build_model_with_fewer_states(self, used: set[int]) -> tuple[Model, Any, Any]:
         """Return the reduced model, and the old symbols with their replacements."""
         old, model = self.leg.model, Model(self.leg.model.name)
-        t, x, u, p = old.arguments()
+        t, x, u, p = old.symbolic_arguments()
         for layout, kept, declare in (
             (old.states, self.states, model.state),
             (old.controls, self.controls, model.control),
@@ -148,7 +148,7 @@ class _ReducedPhase:
             model.parameter(name, value, unit=old.parameters[name].unit)
         kept = ((x, self.states), (u, self.controls), (p, parameters))
         before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
-        after = ca.vertcat(*model.arguments())
+        after = ca.vertcat(*model.symbolic_arguments())
         rates = _substitute_symbols(self.rates, before, after)
         model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
         return model, before, after

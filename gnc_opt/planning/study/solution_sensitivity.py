@@ -520,9 +520,9 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
 
 def _build_rate_derivative_function(problem: Problem, phase: Phase) -> Any:
     def build_directional_derivative() -> Any:
-        arguments = [*phase.model.arguments(), problem.parameter_symbols()]
+        arguments = [*phase.model.symbolic_arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
-        rates = problem.substitute_parameters(phase, phase.model.derivative())
+        rates = problem.substitute_parameters(phase, phase.model.state_derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 

@@ -127,11 +127,11 @@ class Transcription(NlpLayout):
         self, phase: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
         """Return the mesh-independent function of states, controls, free ends of the arc, and free parameters."""
-        t, x, u, p = phase.model.arguments()
+        t, x, u, p = phase.model.symbolic_arguments()
         ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
         span = ends[1] - ends[0]
         rates, others = (
-            (phase.model.derivative(), phase.path_expression())
+            (phase.model.state_derivative(), phase.path_expression())
             if of == "dynamics"
             else (phase.integrand_expression(), ca.SX(0, 1))
         )
@@ -167,7 +167,7 @@ class Transcription(NlpLayout):
         """Return the block of a state constraint and its derivatives at a mesh break."""
         phase, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
-        t, x, u, p = phase.model.arguments()
+        t, x, u, p = phase.model.symbolic_arguments()
         segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
         arc = int(mesh.segment_arcs[segment])
         found = get_constraint_order(self.problem, phase, junction.constraint)

@@ -91,7 +91,7 @@ def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
 
 
 def _express_path_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
-    t, x, _, _ = phase.model.arguments()
+    t, x, _, _ = phase.model.symbolic_arguments()
     time = phase.initial_time if end == "initial" else phase.final_time
     at_end = ca.vertcat(time, phase.end_states(end))
     return ca.substitute(phase.path_expression()[int(row)], ca.vertcat(t, x), at_end)

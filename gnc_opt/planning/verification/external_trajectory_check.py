@@ -60,7 +60,7 @@ def _reformulate_phase_samples(problem: Problem, phase: Phase, own: SampledPhase
     own = _reorder_sampled_variables(own, problem.phases[phase.name].model, stated)
     if phase.restatement is None:
         return own
-    arguments = [*stated.arguments(), problem.parameter_symbols()]
+    arguments = [*stated.symbolic_arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.substitute_parameters(phase, phase.restatement.values))
     function = ca.Function("restated", arguments, [values])
     p = read_phase_parameters(problem, problem.phases[phase.name], q)

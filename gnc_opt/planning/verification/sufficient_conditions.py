@@ -119,11 +119,11 @@ def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
 
 
 def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mask) -> bool:
-    _, x, u, p = phase.model.arguments()
+    _, x, u, p = phase.model.symbolic_arguments()
     u = u[np.flatnonzero(~determined).tolist()]
     if u.is_empty():
         return True
-    rates = phase.model.derivative()
+    rates = phase.model.state_derivative()
     z = ca.vertcat(x, u)
     curved = ca.SX(z.numel(), z.numel())
     for symbol, integrand in phase.integrands.values():
@@ -163,10 +163,10 @@ def is_convex(problem: Problem) -> bool:
 
 def _are_dynamics_affine(problem: Problem) -> bool:
     for phase in problem.phases.values():
-        _, x, u, _ = phase.model.arguments()
+        _, x, u, _ = phase.model.symbolic_arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
         rows = problem.substitute_parameters(
-            phase, ca.vertcat(phase.model.derivative(), phase.path_expression())
+            phase, ca.vertcat(phase.model.state_derivative(), phase.path_expression())
         )
         if not is_affine(rows, z):
             return False
@@ -184,7 +184,7 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     if not is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for phase in legs:
-        _, x, u, _ = phase.model.arguments()
+        _, x, u, _ = phase.model.symbolic_arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in phase.integrands.values():
             expression = problem.substitute_parameters(phase, integrand)

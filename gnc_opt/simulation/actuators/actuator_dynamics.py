@@ -44,7 +44,7 @@ class _InitializedActuator(Block):
         """Whether the initial output is the feedforward."""
         return isinstance(self.initial, str) and self.initial == "trim"
 
-    def _initial_output_parameter(self, size: int, unit: str) -> Defaults:
+    def _initial_actuator_output_setting(self, size: int, unit: str) -> Defaults:
         if self.initial is None or self.starts_at_trim:
             return {}
         return {
@@ -77,7 +77,7 @@ class Lag(_InitializedActuator):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         tau = read_block_values(self.tau, size, f"the time constant of '{self.name}'")
-        return {"tau": (tau, "s"), **self._initial_output_parameter(size, unit)}
+        return {"tau": (tau, "s"), **self._initial_actuator_output_setting(size, unit)}
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
@@ -113,7 +113,7 @@ class RateLimit(_InitializedActuator):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         rate = read_block_values(self.rate, size, f"the rate of '{self.name}'")
-        return {"rate": (rate, f"{unit}/s"), **self._initial_output_parameter(size, unit)}
+        return {"rate": (rate, f"{unit}/s"), **self._initial_actuator_output_setting(size, unit)}
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (TINY, math.inf)}
@@ -152,7 +152,7 @@ class Delay(_InitializedActuator):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
             "delay": (read_block_scalar(self.delay, f"the delay of '{self.name}'"), "s"),
-            **self._initial_output_parameter(size, unit),
+            **self._initial_actuator_output_setting(size, unit),
         }
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
 from gnc_opt.control.control_limits_and_authority import report_control_authority
-from gnc_opt.control.feedforward_and_reference_schedule import choose_design_times
+from gnc_opt.control.feedforward_and_reference_schedule import choose_reference_sample_times
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.errors import DesignError
 from gnc_opt.numerical_tolerances import SAME_TIME
@@ -29,10 +29,10 @@ from gnc_opt.simulation.recorded_extremes_and_integrals import _build_interpolat
 def test_references_are_sampled_on_both_sides_of_jumps() -> None:
     reference = fake(initial_time=1.0, final_time=3.0, jumps=np.array([1.5, 3.0]))
     edge = 2 * SAME_TIME
-    found = choose_design_times(reference, 3)
+    found = choose_reference_sample_times(reference, 3)
     np.testing.assert_array_equal(found, [1.0, 1.5 - edge, 1.5, 1.5 + edge, 2.0, 3.0 - edge, 3.0])
     constant = fake(initial_time=1.0, final_time=1.0, jumps=np.zeros(0))
-    np.testing.assert_array_equal(choose_design_times(constant), [1.0])
+    np.testing.assert_array_equal(choose_reference_sample_times(constant), [1.0])
 
 
 def test_scales_and_penalties_of_limited_states() -> None:
@@ -78,7 +78,7 @@ def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
 
 
 def test_rows_of_a_campaign_with_and_without_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign_tables, "select_printed_measures", lambda campaign: ["a", "b"])
+    monkeypatch.setattr(campaign_tables, "select_printed_performance_measures", lambda campaign: ["a", "b"])
     campaign = fake(
         percentile=lambda name, level: fake(value=100 * level), maximum=lambda name: 7.0, limits={"b": 0.5},
         pass_rate=lambda name="all": f"rate of {name}", unit=lambda name: "m",

@@ -43,7 +43,7 @@ from gnc_opt.control.c_export.c_statement_generation import (
     wrap_c_initializer_lines,
     write_c_statements,
 )
-from gnc_opt.control.c_export.c_table_of_references_and_gains import tabulate_schedule
+from gnc_opt.control.c_export.c_table_of_references_and_gains import tabulate_references_and_gains
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
 
@@ -263,7 +263,7 @@ def test_the_rows_of_a_schedule_in_c():
     """From the beginning of the span in steps to its end, and the row that is good from there on."""
 
     def table(law, dt, span=None):
-        return tabulate_schedule(law, dt, span)
+        return tabulate_references_and_gains(law, dt, span)
 
     found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
     assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])

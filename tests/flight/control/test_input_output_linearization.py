@@ -35,7 +35,7 @@ def rest(model: Model, x) -> Reference:
 
 def test_lie_derivatives_of_a_pendulum_that_also_depend_on_time():
     model = pendulum()
-    t, x, u, p = model.arguments()
+    t, x, u, p = model.symbolic_arguments()
     first = lie_derivative(model, t**2 * x[0])
     second = lie_derivative(model, x[0], order=2)
     value = ca.Function("v", [t, x, u, p], [first, second])
@@ -75,7 +75,7 @@ def test_errors_move_along_plant_and_reference():
     reference = Reference.from_functions(model, lambda t: [0.3, 0.1], lambda t: [0.2], 0.0, 1.0)
     errors = output_errors(model, reference, "angle")
     pair = errors.pair
-    function = pair.build_plant_reference_function(
+    function = pair.build_function_of_plant_and_reference(
         errors.chains[0], errors.drift + errors.decoupling @ pair.u
     )
     x, xr, u, ur, h = np.array([0.5, -0.2]), np.array([0.3, 0.1]), np.array([0.7]), np.array([0.2]), 1e-5

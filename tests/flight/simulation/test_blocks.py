@@ -8,7 +8,7 @@ import pytest
 from testing.internals import (
     ActuatorWaveform,
     StepContext,
-    connect_blocks,
+    connect_block_chain,
     pseudo_inverse,
     read_effectiveness_matrix,
 )
@@ -226,8 +226,8 @@ SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 
 def test_a_second_signal_of_one_name_is_refused():
     with pytest.raises(ArgumentError, match="defines 't' again"):
-        connect_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
-    _, left = connect_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
+        connect_block_chain([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
+    _, left = connect_block_chain([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")
 
 

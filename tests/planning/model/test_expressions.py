@@ -140,5 +140,5 @@ def test_a_row_is_read_as_a_column(n: int) -> None:
     model = go.Model("rows")
     x = model.state("x", n)
     model.ode({x: ca.horzcat(*(-(i + 1) * x[i] for i in range(n)))})
-    rates = ca.Function("rates", [x], [model.derivative()])(np.ones(n))
+    rates = ca.Function("rates", [x], [model.state_derivative()])(np.ones(n))
     np.testing.assert_array_equal(rates.full(), -np.arange(1.0, n + 1)[:, None])

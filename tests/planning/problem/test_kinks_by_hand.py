@@ -39,7 +39,7 @@ def solved_leg(*arguments: Any) -> Any:
 
 
 def at(leg: Any, expression: Any, x: Any, u: Any) -> np.ndarray:
-    _, states, controls, _ = leg.model.arguments()
+    _, states, controls, _ = leg.model.symbolic_arguments()
     return ca.Function("at", [states, controls], [ca.densify(expression)])(x, u).full().ravel()
 
 
@@ -66,7 +66,7 @@ def test_costs_with_a_corner_of_a_control_are_linear_in_its_parts(case: Any) -> 
     for a in (-2.0, -0.7, 0.2, 0.9, 3.0):
         parts = np.concatenate(split.decompose_control_into_parts(np.array([[a]])))[:, 0]
         assert at(leg, leg.integrand_expression(), [0, 0.3], parts) == pytest.approx(value(a))
-        np.testing.assert_allclose(at(leg, leg.model.derivative(), [0, 0.3], parts), [0.3, a])
+        np.testing.assert_allclose(at(leg, leg.model.state_derivative(), [0, 0.3], parts), [0.3, a])
         assert split.compose_control_from_parts(*parts[:, None]) == pytest.approx(a)
     box = leg.numbers.controls
     np.testing.assert_allclose(box.upper, [3.0 - corner, corner + 2.0])

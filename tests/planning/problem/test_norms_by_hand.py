@@ -129,11 +129,11 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
     r = np.array([0.2, 0.4, 0.5, 0.6])
 
     def values(leg: Any, controls: dict[str, Any]) -> np.ndarray:
-        _, x, u, _ = leg.model.arguments()
+        _, x, u, _ = leg.model.symbolic_arguments()
         lengths = {v.direction_norm_constraint_name for v in leg.vector_controls}
         rows = [c.expression for name, c in leg.paths.items() if name not in lengths]
         function = ca.Function(
-            "all", [x, u], [ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *rows)]
+            "all", [x, u], [ca.vertcat(leg.model.state_derivative(), leg.integrand_expression(), *rows)]
         )
         return np.asarray(function(r, leg.model.controls.stack(controls))).ravel()
 
@@ -269,8 +269,8 @@ def test_absolute_values_that_cost_are_split(cost: Any) -> None:
     assert leg.model.controls.names == ("u_plus", "u_minus")
     np.testing.assert_array_equal(leg.numbers.controls.lower, 0.0)
     np.testing.assert_array_equal(leg.numbers.controls.upper, 1.0)
-    _, x, u, _ = leg.model.arguments()
-    value = ca.Function("all", [x, u], [leg.model.derivative(), leg.integrand_expression()])
+    _, x, u, _ = leg.model.symbolic_arguments()
+    value = ca.Function("all", [x, u], [leg.model.state_derivative(), leg.integrand_expression()])
     rates, costs = value([0.0, 0.5], [0.3, 0.7])
     np.testing.assert_allclose(rates.full()[:, 0], [0.5, 0.3 - 0.7])
     assert float(costs) == pytest.approx(1.0)

@@ -84,7 +84,7 @@ def test_the_order_is_the_first_derivative_with_a_control() -> None:
     assert [f.controls for f in found] == [(1,), (0,), (), (0,), (0,), (0,)]
     assert found[0].label == "free" and found[3].label == "x"
     # (v - t^3)'' = u x - 6 t and (v^2)'' = 2 w^2 + 2 v u x, at t, x, v, w, u = 2, 3, 5, 7, 11
-    t, states, controls, p = model.arguments()
+    t, states, controls, p = model.symbolic_arguments()
     at = ca.Function(
         "at", [t, states, controls, p], [f.derivatives[-1] for f in found[1:4:2]], {"allow_free": False}
     )(2, [3, 5, 7], [11, 13], [])

@@ -123,7 +123,7 @@ def guess_from_simulation(
     q = problem.get_parameter_guess()
     p, start = selected.model.parameter_values, _read_initial_state(selected, initial)
     fast = build_single_point_evaluator(
-        build_function_along_phase(problem, selected, "rates", selected.model.derivative()), p, q
+        build_function_along_phase(problem, selected, "rates", selected.model.state_derivative()), p, q
     )
 
     def evaluate_rates(t: float, x: Array) -> Array:
@@ -231,7 +231,7 @@ def _build_simulation_stop_event(
 def _compile_expression(
     problem: Problem, phase: Phase, expression: Any, what: str
 ) -> Callable[[float, Array], Array]:
-    t, x, u, p = phase.model.arguments()
+    t, x, u, p = phase.model.symbolic_arguments()
     problem.check_foreign_symbols(phase, expression, what)
     if phase.model.controls.size and ca.depends_on(expression, u):
         raise ProblemError(f"{what} uses controls of {phase.label}: write it in time, states and parameters.")

@@ -52,7 +52,7 @@ class AlgebraicVariable:
     def is_conversion_to_state_needed(self, phase: Phase) -> bool:
         """Return whether the variable is declared as algebraic, or would hide bang-bang arcs of the other controls."""
         model, name = phase.model, self.symbol.variable.name
-        if name in model.equations:
+        if name in model.algebraic_equations:
             return True
         others = [model.controls.slice(other) for other in model.controls.names if other != name]
         symbols, box = model.symbols("control"), phase.numbers.controls
@@ -69,7 +69,7 @@ class AlgebraicVariable:
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase) -> None:
         """Make the variable a state of a phase."""
-        t, x, _, _ = phase.model.arguments()
+        t, x, _, _ = phase.model.symbolic_arguments()
         constraint = phase.paths[self.constraint]
         phase.numbers = replace(phase.numbers, controls=find_nonimplied_bounds(problem, phase))
         phase.add_states({self.symbol: self.rate}, ends=self.ends)
@@ -107,8 +107,8 @@ def replace_algebraic_variables(problem: P) -> P:
 
 def _find_algebraic_variables(phase: Phase) -> Iterator[AlgebraicVariable]:
     model = phase.model
-    t, x, _, _ = model.arguments()
-    rate = model.derivative()
+    t, x, _, _ = model.symbolic_arguments()
+    rate = model.state_derivative()
     for name, constraint in phase.paths.items():
         residual = constraint.expression
         controls = [c for c in map(model.symbol, model.controls.names) if ca.depends_on(residual, c)]

@@ -48,7 +48,7 @@ def find_integrand_kinks(
     problem: ProblemData, phase: Phase, domain: SymbolRanges
 ) -> dict[str, list[Extremum]]:
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
-    _, x, u, _ = phase.model.arguments()
+    _, x, u, _ = phase.model.symbolic_arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
     ignored, found = frozenset[int]().union(*(use.subexpression_hashes for use in tables)), {}
     wanted = find_minimised_or_maximised_integrals(problem, phase)

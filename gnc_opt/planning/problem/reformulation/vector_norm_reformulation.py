@@ -336,7 +336,11 @@ class _NormLimits:
         if len(limiting) == 1 and not removed:
             ((control, label),) = limiting
             others = [c for c in kept if c.name != label]
-            terms = (phase.model.derivative(), phase.integrand_expression(), *(c.expression for c in others))
+            terms = (
+                phase.model.state_derivative(),
+                phase.integrand_expression(),
+                *(c.expression for c in others),
+            )
             elsewhere = ca.vertcat(*terms)
             if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
@@ -457,7 +461,7 @@ def _find_magnitudes_of_unit_vector(phase: Phase, name: str, label: str) -> Iter
     """Yield the magnitudes of a unit vector: controls >= 0, its only factors, which also occur without it."""
     layout, vector = phase.model.controls, ca.SX(phase.model.symbol(name))
     others = [c.expression for other, c in phase.paths.items() if other != label]
-    terms = ca.vertcat(phase.model.derivative(), phase.integrand_expression(), *others)
+    terms = ca.vertcat(phase.model.state_derivative(), phase.integrand_expression(), *others)
     slope, rest = ca.vec(ca.jacobian(terms, vector)), ca.substitute(terms, vector, ca.DM.zeros(vector.shape))
     if ca.depends_on(slope, vector):
         return

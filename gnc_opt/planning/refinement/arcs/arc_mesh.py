@@ -271,7 +271,7 @@ class ArcMesh:
             if not 0 < len(singular) < len(free):
                 continue
             model = problem.phases[phase].model
-            if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
+            if ca.sprank(ca.jacobian(model.state_derivative(), model.symbolic_arguments()[2][free])) > 1:
                 first, last = self.subarc_boundary_breaks[subarc : subarc + 2]
                 ends = range(first + 1, last + (subarc + 1 < structure.n_subarcs))
                 found += [Junction(held[0] - structure.n_controls, k, kinds[held[0]], 1) for k in ends]
