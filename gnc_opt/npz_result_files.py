@@ -47,7 +47,7 @@ class DataclassSerializer:
             An object has an unregistered class; the message contains its path.
         """
         if isinstance(value, np.ndarray):
-            return {"array": _store_array_by_path(value, place, arrays)}
+            return {"array": _store_array_under_json_path(value, place, arrays)}
         if isinstance(value, Enum):
             return {"type": self._get_storable_class_name(value, place), "value": value.value}
         if is_dataclass(value):
@@ -100,7 +100,7 @@ class DataclassSerializer:
 
     def _serialise_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
         if _can_concatenate_arrays(value):
-            whole = _store_array_by_path(np.concatenate(value, axis=-1), place, arrays)
+            whole = _store_array_under_json_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [
             self.serialise_to_json_tree(item, _append_name_to_json_path(place, str(i)), arrays)
@@ -112,7 +112,7 @@ class DataclassSerializer:
         numbers = {text: i for i, text in enumerate(dict.fromkeys(texts))}
         if len(numbers) == len(trees):
             return trees
-        which = _store_array_by_path(np.array([numbers[text] for text in texts]), place, arrays)
+        which = _store_array_under_json_path(np.array([numbers[text] for text in texts]), place, arrays)
         return {"alike": [json.loads(text) for text in numbers], "which": which}
 
     def _get_storable_class_name(self, value: Any, place: str) -> str:
@@ -127,7 +127,7 @@ def _can_concatenate_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
 
 
-def _store_array_by_path(array: Array, place: str, arrays: Arrays) -> str:
+def _store_array_under_json_path(array: Array, place: str, arrays: Arrays) -> str:
     if array.dtype.hasobject:
         raise GncOptError(f"'{place}' cannot be saved: it is an array of Python objects.")
     name = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in place)
@@ -166,7 +166,9 @@ class FileFormat:
     alike: tuple[int, ...] = ()
     unused: tuple[str, ...] = ()
 
-    def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
+    def write_result_file(
+        self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any
+    ) -> Path:
         """Write a result and additional named values; return the path of the file.
 
         ``.npz`` is appended to a path without suffix. The file is replaced atomically.
@@ -188,7 +190,7 @@ class FileFormat:
         }
         return _write_npz_archive(path, header, arrays)
 
-    def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
+    def read_result_file(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
         """Return the result in a file, and the additional values.
 
         Raises

@@ -32,8 +32,8 @@ from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
+    get_output_component_setting,
     output_errors,
-    select_output_component_setting,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sampled_data_discretization import (
@@ -182,7 +182,7 @@ def _place_error_poles(
 def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = select_output_component_setting(label, poles, errors, "the linearisation")
+        poles = get_output_component_setting(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))

@@ -46,7 +46,7 @@ class PlantPair:
     f_ref: Any
 
     @classmethod
-    def from_model(cls, model: Model) -> PlantPair:
+    def from_affine_model(cls, model: Model) -> PlantPair:
         """Return the pair of a model; `DesignError` unless the controls enter dx/dt affinely."""
         t, x, u, p = model.symbolic_arguments()
         f = ca.substitute(model.state_derivative(), p, ca.DM(model.parameter_values))
@@ -158,7 +158,7 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     >>> print(errors.relative_degrees)
     (2,)
     """
-    pair = PlantPair.from_model(model)
+    pair = PlantPair.from_affine_model(model)
     return build_output_derivative_chains(pair, reference, build_output_error_expressions(pair, outputs))
 
 
@@ -320,7 +320,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def select_output_component_setting(
+def get_output_component_setting(
     label: str, given: Mapping[str, Any], errors: OutputErrors, where: str
 ) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""

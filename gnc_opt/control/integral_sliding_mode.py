@@ -105,7 +105,7 @@ def design_integral_sliding_mode(
     0.00 m off
     """
     reference = read_design_reference(model, reference, "design_integral_sliding_mode")
-    pair = PlantPair.from_model(model)
+    pair = PlantPair.from_affine_model(model)
     switching = build_switching_control(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
     errors, singular = _build_projected_sliding_surface(pair, reference, projection)
     inverse = build_guarded_decoupling_inverse(errors, reference, guard)

@@ -44,8 +44,8 @@ from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
+    get_output_component_setting,
     output_errors,
-    select_output_component_setting,
 )
 from gnc_opt.control.reaching_laws import (
     Boundary,
@@ -404,7 +404,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
 
 def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = select_output_component_setting(label, slopes, errors, "the surface")
+        slope = get_output_component_setting(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

@@ -154,7 +154,7 @@ class SwitchingPlan:
         return ca.vertcat(*u)
 
     @classmethod
-    def from_solution(cls, solution: Solution) -> SwitchingPlan:
+    def from_bang_bang_solution(cls, solution: Solution) -> SwitchingPlan:
         """Return the plan of a bang-bang solution with one phase, free final time and fixed final states."""
         reference = Reference(solution)
         name = solution.problem_name

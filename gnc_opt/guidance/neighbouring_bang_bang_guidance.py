@@ -222,7 +222,7 @@ def design_neighbouring_optimal(
     require_type(
         regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)"
     )
-    plan = SwitchingPlan.from_solution(solution)
+    plan = SwitchingPlan.from_bang_bang_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
     _require_regulator_matches_plan_layout(inner, plan)

@@ -122,7 +122,7 @@ class NormNodes:
     degrees: dict[int, int]
 
     @classmethod
-    def from_expression(cls, expression: Any, vector: Any) -> NormNodes:
+    def find_vector_norms(cls, expression: Any, vector: Any) -> NormNodes:
         """Return these nodes of an SX column."""
         nodes = _find_subexpressions_smooth_in_vector(expression, vector)
         if not nodes:

@@ -61,7 +61,7 @@ class VectorizedFunction:
     steps: tuple[tuple[int, Sequence[int], Sequence[Any]], ...]
 
     @classmethod
-    def from_function(cls, function: Any) -> VectorizedFunction | None:
+    def from_casadi_function(cls, function: Any) -> VectorizedFunction | None:
         """Return the operations of a function; None if it is too long or has unsupported operations."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None

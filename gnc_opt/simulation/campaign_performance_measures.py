@@ -159,7 +159,7 @@ class Measures:
         bracketed = f"({unit})" if kind == "energy" and set(unit) & set(" /*") else unit
         return simplify_time_integral_unit(f"{bracketed}{COMPONENT_SUMS[kind]}".strip())
 
-    def describe(self, name: str, format_name: Callable[[str], str] = str) -> str:
+    def describe_performance_measure(self, name: str, format_name: Callable[[str], str] = str) -> str:
         """Return a measure in words: "final error of q", "effort of F"."""
         if name in self._runs.measured or name in REPLANS:
             return name

@@ -162,7 +162,7 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def describe_measure(self, name: str, format_name: Callable[[str], str] = str) -> str:
         """Return a measure in words, for example "final error of q", with ``format_name`` applied to the variable."""
-        return self._performance_measures.describe(name, format_name)
+        return self._performance_measures.describe_performance_measure(name, format_name)
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -298,7 +298,7 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def save(self, path: str | Path) -> Path:
         """Write all runs to a file (default suffix ``.npz``), without loss of precision."""
-        return CAMPAIGN_FILES.write(path, self)
+        return CAMPAIGN_FILES.write_result_file(path, self)
 
     @classmethod
     def load(cls, path: str | Path, flight: CompiledLoop | None = None) -> Campaign:
@@ -313,7 +313,7 @@ class Campaign(StrictAttributes, PrintableResult):
         GncOptError
             The file is damaged or contains no campaign, or ``flight`` is of another loop.
         """
-        campaign, _ = CAMPAIGN_FILES.read(path)
+        campaign, _ = CAMPAIGN_FILES.read_result_file(path)
         assert isinstance(campaign, Campaign)
         if flight is not None:
             _require_reproducible_campaign(campaign, flight, path)

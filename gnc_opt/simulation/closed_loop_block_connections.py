@@ -120,7 +120,7 @@ class LoopWiring:
         return self.dt / self.minor_steps
 
     @property
-    def blocks_with_step_lengths(self) -> list[tuple[BlockLink, float]]:
+    def blocks_and_step_lengths(self) -> list[tuple[BlockLink, float]]:
         """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
@@ -155,7 +155,7 @@ class LoopWiring:
     def parameter_ranges(self) -> tuple[Array, Array]:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
-        for link, step in self.blocks_with_step_lengths:
+        for link, step in self.blocks_and_step_lengths:
             for name, (least, largest) in link.block.parameter_limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
                 lower[place], upper[place] = least, largest
@@ -172,7 +172,7 @@ class LoopWiring:
         entries += [
             (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
         ]
-        for link, _ in self.blocks_with_step_lengths:
+        for link, _ in self.blocks_and_step_lengths:
             for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
                 entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
         return entries
@@ -217,8 +217,8 @@ def connect_closed_loop(
     }
     disturbances = [connect_block_chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
-        Events.from_declarations(plant, blocks.events),
-        Quantities.from_declarations(plant, blocks.quantities),
+        Events.from_event_declarations(plant, blocks.events),
+        Quantities.from_quantity_declarations(plant, blocks.quantities),
     )
     wiring = LoopWiring(
         plant,
@@ -232,7 +232,7 @@ def connect_closed_loop(
         events,
         quantities,
     )
-    for link, step in wiring.blocks_with_step_lengths:
+    for link, step in wiring.blocks_and_step_lengths:
         link.block.check_sizes(link.size, step, dt)
     _check_sensor_functions(wiring)
     _require_feedforward_at_trim(wiring)

@@ -147,10 +147,10 @@ class CompiledLoop:
         )
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        X, C = self._build_initial_loop_states(rows[0], self.nominal)
+        X, C = self._build_initial_closed_loop_states(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._propagate_run_segment(X, rows, C, end)
+            flight._simulate_run_segment(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final_values(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
@@ -182,7 +182,7 @@ class CompiledLoop:
                 refused[i] = invalid
                 continue
             course = self._create_replannable_reference()
-            for last, X, _ in self._propagate_run_segments(P[:, i], seed, known, course, again=again):
+            for last, X, _ in self._simulate_run_segments(P[:, i], seed, known, course, again=again):
                 self._record_quantities_at_step(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
@@ -222,7 +222,7 @@ class CompiledLoop:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._create_replannable_reference(), self.n_steps
-        for end, X, logged in self._propagate_run_segments(P, seed, known, course, logged=True):
+        for end, X, logged in self._simulate_run_segments(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
             parts, logs = (
@@ -349,19 +349,19 @@ class CompiledLoop:
             course.replan_reference_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _build_initial_loop_states(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _build_initial_closed_loop_states(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
         (X, C), (other, others) = (
             folded.compute_initial_state_and_constants(known, P) for folded in self._step_executors
         )
         return np.stack([X, other]), (C, others)
 
-    def _propagate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+    def _simulate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after a segment to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.simulate_control_steps(x, rows, c, end)
 
-    def _propagate_run_segments(
+    def _simulate_run_segments(
         self,
         P: Array,
         seed: Any,
@@ -374,7 +374,7 @@ class CompiledLoop:
         """Yield, for each segment, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.iterate_legs(seed, known, course, again=again):
             if first == 0:
-                X, C = self._build_initial_loop_states(rows[0], P)
+                X, C = self._build_initial_closed_loop_states(rows[0], P)
             else:
                 self._update_plan_if_due(course, first, X, rows, C)
             before, logs = X.copy(), None
@@ -383,7 +383,7 @@ class CompiledLoop:
                 self._step_executors[1].simulate_control_steps(before[1], rows, C[1], X[1])
                 X[0] = logs[0][:, -1]
             else:
-                self._propagate_run_segment(before, rows, C, X)
+                self._simulate_run_segment(before, rows, C, X)
             yield first + len(rows), X, logs
             if all(self._has_event_ended_run(x) for x in X):
                 return

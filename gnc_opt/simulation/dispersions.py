@@ -30,7 +30,7 @@ _UNIT = 1e-6
 class Dispersion:
     """Base class of dispersions."""
 
-    def check_nominal(self, name: str, nominal: Array) -> None:
+    def check_nominal_value(self, name: str, nominal: Array) -> None:
         """Raise `ArgumentError` if the dispersion is invalid for this nominal value (size,)."""
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
@@ -78,7 +78,7 @@ class Normal(Dispersion):
         if self.truncate is not None:
             read_positive_number(self.truncate, "truncate of Normal()")
 
-    def check_nominal(self, name: str, nominal: Array) -> None:
+    def check_nominal_value(self, name: str, nominal: Array) -> None:
         _require_size_of_nominal(self.std, nominal, f"the standard deviation of '{name}'")
         _require_size_of_nominal(self.mean, nominal, f"the mean deviation of '{name}'")
         _require_nonzero_nominal(self.relative, name, nominal)
@@ -132,7 +132,7 @@ class Uniform(Dispersion):
                 "give the lower end first."
             )
 
-    def check_nominal(self, name: str, nominal: Array) -> None:
+    def check_nominal_value(self, name: str, nominal: Array) -> None:
         _require_size_of_nominal(self.low, nominal, f"the lower end of '{name}'")
         _require_size_of_nominal(self.high, nominal, f"the upper end of '{name}'")
         _require_nonzero_nominal(self.relative, name, nominal)
@@ -168,7 +168,7 @@ class Choice(Dispersion):
         if len(self.values) == 0:
             raise ArgumentError("Choice() has no values: give some.")
 
-    def check_nominal(self, name: str, nominal: Array) -> None:
+    def check_nominal_value(self, name: str, nominal: Array) -> None:
         for value in self.values:
             read_vector(value, nominal.size, f"a choice of '{name}'", ArgumentError)
 
@@ -266,7 +266,7 @@ class RandomRotation(Dispersion):
     def __post_init__(self) -> None:
         _check_deviation_magnitude(self.angle, "the angle of Turn()")
 
-    def check_nominal(self, name: str, nominal: Array) -> None:
+    def check_nominal_value(self, name: str, nominal: Array) -> None:
         if nominal.size not in (3, 4):
             raise ArgumentError(
                 f"'{name}' cannot be turned: {nominal.size} component(s) are neither a quaternion nor modified "
@@ -313,7 +313,7 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
         require_type(
             dispersion, Dispersion, f"the dispersion of '{name}'", "give Normal(...), Uniform(...) or another"
         )
-        dispersion.check_nominal(name, nominal[layout.slice(name)])
+        dispersion.check_nominal_value(name, nominal[layout.slice(name)])
 
 
 def draw_dispersed_parameters(
@@ -355,7 +355,7 @@ def _add_deviation_to_nominal_value(nominal: Array, deviation: Array, relative: 
 
 def _check_deviation_magnitude(value: Any, what: str) -> None:
     if isinstance(value, (Normal, Uniform)):
-        value.check_nominal(what, np.ones(1))
+        value.check_nominal_value(what, np.ones(1))
         if value.relative:
             raise ArgumentError(f"{what} is relative to nothing: drop relative=True.")
     else:

@@ -298,12 +298,12 @@ class Run(StrictAttributes, PrintableResult):
 
     def save(self, path: str | Path) -> Path:
         """Write the run to a file (default suffix ``.npz``), without loss of precision."""
-        return RUN_FILES.write(path, self)
+        return RUN_FILES.write_result_file(path, self)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
         """Return a run from a file of `save`; raise `FileNotFoundError`, or `GncOptError` for files without a run."""
-        run, _ = RUN_FILES.read(path)
+        run, _ = RUN_FILES.read_result_file(path)
         assert isinstance(run, Run)
         return run
 

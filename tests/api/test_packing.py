@@ -120,8 +120,8 @@ def test_every_field_survives(tree: Tree) -> None:
 def test_every_field_survives_the_file(
     tmp_path_factory: pytest.TempPathFactory, tree: Tree, more: Any
 ) -> None:
-    path = FILES.write(tmp_path_factory.mktemp("files") / "tree", tree, more=more)
-    again, others = FILES.read(path)
+    path = FILES.write_result_file(tmp_path_factory.mktemp("files") / "tree", tree, more=more)
+    again, others = FILES.read_result_file(path)
     assert_same(tree, again)
     assert again.secret is None
     assert list(others) == ["more"]
@@ -188,7 +188,7 @@ def test_what_would_not_come_back_is_refused(value: Any, message: str, tmp_path:
     leaf = Leaf("", 0.0)
     tree = Tree(1, True, None, "", 0.0, Colour.RED, leaf, (), np.zeros(1), (), (), {"x": value})
     with pytest.raises(GncOptError, match=message):
-        FILES.write(tmp_path / "tree", tree)
+        FILES.write_result_file(tmp_path / "tree", tree)
     assert not list(tmp_path.iterdir())
 
 
@@ -200,15 +200,15 @@ def test_classes_that_are_not_listed_are_never_made() -> None:
 
 def test_older_versions_are_read_and_unknown_ones_refused(tmp_path: Path) -> None:
     old = FileFormat(Leaf, "leaf", 1, DataclassSerializer((Leaf, Colour)))
-    path = old.write(tmp_path / "leaf", Leaf("oak", 1.0))
+    path = old.write_result_file(tmp_path / "leaf", Leaf("oak", 1.0))
     new = FileFormat(Leaf, "leaf", 2, DataclassSerializer((Leaf, Colour)), alike=(1,))
-    assert new.read(path) == (Leaf("oak", 1.0), {})
-    newest = new.write(tmp_path / "leaf2", Leaf("oak", 1.0), written_by="9.9")
+    assert new.read_result_file(path) == (Leaf("oak", 1.0), {})
+    newest = new.write_result_file(tmp_path / "leaf2", Leaf("oak", 1.0), written_by="9.9")
     with pytest.raises(GncOptError, match=r"format version 2 \(gnc_opt 9\.9\).*reads version 1"):
-        old.read(newest)
+        old.read_result_file(newest)
 
 
 def test_the_result_must_be_of_its_class(tmp_path: Path) -> None:
-    path = FileFormat(Leaf, "tree", 3, PACKING).write(tmp_path / "leaf", Leaf("oak", 1.0))
+    path = FileFormat(Leaf, "tree", 3, PACKING).write_result_file(tmp_path / "leaf", Leaf("oak", 1.0))
     with pytest.raises(GncOptError, match="is damaged"):
-        FILES.read(path)
+        FILES.read_result_file(path)

@@ -206,7 +206,7 @@ class PhaseFunctions:
     def _get_compiled_function(self, name: str) -> VectorizedFunction | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
-            self.functions[key] = VectorizedFunction.from_function(self.functions[name])
+            self.functions[key] = VectorizedFunction.from_casadi_function(self.functions[name])
         known: VectorizedFunction | None = self.functions[key]
         return known
 

@@ -385,7 +385,9 @@ class Solution(PrintableResult):
         """
         known = vars(self).get("accuracy") if self.problem is None else self.accuracy
         written_by = self.provenance.get("gnc_opt", "unknown")
-        return SOLUTION_FILES.write(path, self, written_by=written_by, accuracy=known, history=self.history)
+        return SOLUTION_FILES.write_result_file(
+            path, self, written_by=written_by, accuracy=known, history=self.history
+        )
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution with its problem, e.g. after `load`.
@@ -509,7 +511,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     >>> print(go.load(path, problem=problem).objective == solution.objective)
     True
     """
-    solution, more = SOLUTION_FILES.read(path)
+    solution, more = SOLUTION_FILES.read_result_file(path)
     assert isinstance(solution, Solution)
     solution = replace(solution, history=more.get("history"))
     if problem is not None:

@@ -119,7 +119,7 @@ def test_states_with_a_difference_are_compared_by_it():
     q, w, torque = model.state("q", 4), model.state("w", 3), model.control("torque", 3)
     model.ode({q: quaternion_rate(q, w), w: torque})
     model.difference(q, quaternion_difference)
-    assert build_output_error_expressions(PlantPair.from_model(model), "q")["q"].shape == (3, 1)
+    assert build_output_error_expressions(PlantPair.from_affine_model(model), "q")["q"].shape == (3, 1)
 
 
 def test_what_cannot_be_steered_is_refused_by_name():
@@ -139,4 +139,4 @@ def test_what_cannot_be_steered_is_refused_by_name():
     a, u = bent.state("a"), bent.control("u")
     bent.ode({a: ca.sin(u)})
     with pytest.raises(DesignError, match="control 'u' of model 'bent' does not enter its dynamics affinely"):
-        PlantPair.from_model(bent)
+        PlantPair.from_affine_model(bent)

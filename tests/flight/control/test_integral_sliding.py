@@ -175,7 +175,7 @@ def test_the_projection_follows_the_directions_of_the_controls(projection, effec
     c, s = ca.cos(model.time), ca.sin(model.time)
     model.ode({v: 2 * ca.vertcat(c * force[0] - s * force[1], s * force[0] + c * force[1])})
     reference = Reference.from_functions(model, lambda t: [0.0, 0.0], lambda t: [0.0, 0.0], 0.0, 3.0)
-    pair = PlantPair.from_model(model)
+    pair = PlantPair.from_affine_model(model)
     errors, singular = _build_projected_sliding_surface(pair, reference, projection)
     np.testing.assert_allclose(singular, [2.0, 2.0])
     for product in pair.evaluate_expression_on_reference(reference, np.r_[0, 1, 2.5], errors.decoupling):

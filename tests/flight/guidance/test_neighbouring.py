@@ -138,7 +138,7 @@ def test_times_move_as_those_of_the_problem_solved_again(swinging):
 
 
 def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
-    plan = SwitchingPlan.from_solution(swinging)
+    plan = SwitchingPlan.from_bang_bang_solution(swinging)
     for ending in (RegulatedEnd(0.0, 0.0), RegulatedEnd(1.5, 0.2)):
         prediction = PlanPrediction(plan, ending, 32)
         best = find_neighbouring_optimum(prediction)
@@ -152,7 +152,7 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 
 
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
-    plan = SwitchingPlan.from_solution(swinging)
+    plan = SwitchingPlan.from_bang_bang_solution(swinging)
     steps = [
         _choose_integration_steps_per_arc(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps
         for size in (1e-1, 1e-3, 1e-5)

@@ -20,7 +20,7 @@ def samples(dispersion, nominal, count=COUNT):
     """Draws (count, size) from one generator."""
     generator = np.random.default_rng(5)
     nominal = np.asarray(nominal, dtype=float)
-    dispersion.check_nominal("x", nominal)
+    dispersion.check_nominal_value("x", nominal)
     return np.array([dispersion.draw(generator, nominal) for _ in range(count)])
 
 
@@ -137,7 +137,7 @@ def test_what_does_not_fit_is_refused(dispersions, message):
         lambda: RandomDirection(Uniform(0, 1, relative=True)), lambda: Choice([]),
         lambda: RandomDirection(-0.1), lambda: UniformInBall(np.inf),
         lambda: RandomRotation(Normal(0.1, relative=True)),
-        lambda: RandomRotation(0.1).check_nominal("initial.q", np.array([1.0, 1.0, 0.0, 0.0])),
+        lambda: RandomRotation(0.1).check_nominal_value("initial.q", np.array([1.0, 1.0, 0.0, 0.0])),
     ],
 )  # fmt: skip
 def test_impossible_dispersions_are_refused(wrong):

@@ -48,7 +48,7 @@ def test_what_can_be_dispersed_in_order_with_units_defaults_and_ranges():
     lower, upper = loop.parameter_ranges
     assert lower.tolist() == [-np.inf] * 5 + [0, 0] + [-np.inf] * 6 + [0, 0]
     assert upper.tolist() == [np.inf] * 15
-    assert [(link.block.name, step) for link, step in loop.wiring.blocks_with_step_lengths] == [
+    assert [(link.block.name, step) for link, step in loop.wiring.blocks_and_step_lengths] == [
         ("lag", pytest.approx(0.1)), ("cut", pytest.approx(0.1)), ("gyro", 0.4), ("gust", 0.4)
     ]  # fmt: skip
 

@@ -84,7 +84,7 @@ A, B = X[0], X[1]
 def test_operations_are_casadis_numbers_that_are_none_included(expression: ca.SX) -> None:
     f = function(expression, of=(T, X, P))
     given = arguments(np.random.default_rng(1))
-    programme = VectorizedFunction.from_function(f)
+    programme = VectorizedFunction.from_casadi_function(f)
     assert programme is not None
     np.testing.assert_allclose(
         programme(COLUMNS, *given), evaluate_casadi_batch(f, COLUMNS, *given), rtol=1e-14
@@ -96,7 +96,7 @@ def test_registers_that_serve_twice_and_derivatives() -> None:
     long = ca.sin(A * B) ** 2 * ca.exp(-T * A) / (1 + B**2) + ca.sqrt(1 + A**4) * ca.cos(P[0] * B)
     f = function(ca.vec(ca.hessian(long, X)[0]), ca.gradient(long, X), of=(T, X, P))
     given = arguments(np.random.default_rng(2))
-    programme = VectorizedFunction.from_function(f)
+    programme = VectorizedFunction.from_casadi_function(f)
     assert programme is not None and programme.registers < len(programme.steps) / 2
     np.testing.assert_allclose(
         programme(COLUMNS, *given), evaluate_casadi_batch(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
@@ -108,10 +108,10 @@ def test_what_is_not_read_is_left_to_casadi() -> None:
     endless = A
     for _ in range(NUMPY_MAX_OPERATIONS):
         endless = ca.sin(endless)
-    assert VectorizedFunction.from_function(kinked) is None
-    assert VectorizedFunction.from_function(function(endless, of=(T, X, P))) is None
+    assert VectorizedFunction.from_casadi_function(kinked) is None
+    assert VectorizedFunction.from_casadi_function(function(endless, of=(T, X, P))) is None
     t, x, p = arguments(np.random.default_rng(3))
     found = evaluate_casadi_function(
-        kinked, t[0], x, p, programme=lambda: VectorizedFunction.from_function(kinked)
+        kinked, t[0], x, p, programme=lambda: VectorizedFunction.from_casadi_function(kinked)
     )
     np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))

@@ -90,7 +90,7 @@ def _find_vectors_in_norms(phase: Phase) -> Iterator[Names]:
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
                 vector = ca.vertcat(*map(phase.model.symbol, names))
-                if NormNodes.from_expression(node, vector).degrees.get(node.element_hash()) == 1:
+                if NormNodes.find_vector_norms(node, vector).degrees.get(node.element_hash()) == 1:
                     yield names
 
 
@@ -106,7 +106,7 @@ def _find_norm_limits(phase: Phase) -> Iterator[tuple[Names, str, str]]:
             others = tuple(other for other in names if other != name)
             if layout[name].size == 1 < sum(layout[n].size for n in others) and box[name].lower[0] >= 0:
                 vector, size = ca.vertcat(*(symbols[n] for n in others)), ca.SX.sym("size")
-                of_size = NormNodes.from_expression(row, vector).replace_vector_norms(row, size, {})
+                of_size = NormNodes.find_vector_norms(row, vector).replace_vector_norms(row, size, {})
                 if _is_norm_upper_limit(of_size, size, symbols[name], limits):
                     yield others, name, label
 
@@ -195,7 +195,7 @@ class NormSubstitution(ReformulatedPhase):
         """Return the form of a phase in the norm of some controls."""
         old, vector = phase.model, ca.vertcat(*map(phase.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.from_expression(ca.vertcat(stack_phase_expressions(phase), *outputs), vector)
+        norms = NormNodes.find_vector_norms(ca.vertcat(stack_phase_expressions(phase), *outputs), vector)
         found = _NormLimits.from_constraints(phase, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
