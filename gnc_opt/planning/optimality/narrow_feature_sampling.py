@@ -27,10 +27,7 @@ DISTANCES = 40
 def find_sign_change_times(
     function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
 ) -> Array:
-    """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign.
-
-    If the signs at both ends are equal, the time is the midpoint.
-    """
+    """Return times (n,) at which rows of a function (n_rows, n_times) change sign, or the midpoints."""
     from scipy.optimize.elementwise import find_root  # loads scipy.optimize
 
     def evaluate_rows(times: Array, row: Array) -> Array:

@@ -270,10 +270,7 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
 def compute_hamiltonian_integral_differences(
     s: PhaseSamples, moves: Array, step: float, every: int = 1
 ) -> Array:
-    """Return the central first and half the second difference per step of the integral of H along moves (2, n).
-
-    Every n-th sample is used.
-    """
+    """Return central first and half second differences per step of the integral of H along moves (2, n)."""
     x, u, lam, times = s.x[:, ::every], s.u[:, ::every], s.lam[:, ::every], s.times[::every]
     count, weights = 2 * moves.shape[1], every * s.weights[::every]
     moved = step * np.hstack([moves, -moves])

@@ -205,10 +205,7 @@ def print_iterations(
 
 
 def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
-    """Return whether the errors of all passes decrease too slowly to reach the tolerance.
-
-    With fewer than `CONVERGENCE_WINDOW` passes after the first, the result is False.
-    """
+    """Return whether the errors of all passes, if these are enough, decrease too slowly to reach the tolerance."""
     if len(errors) <= CONVERGENCE_WINDOW:
         return False
     before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])

@@ -208,11 +208,8 @@ class _StructureLoop:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            changes = (
-                set()
-                if _is_arc_sequence_unchanged(record)
-                else _list_control_structure_changes(current, plans)
-            )
+            unchanged = set(action.split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
+            changes = set() if unchanged else _list_control_structure_changes(current, plans)
             if changes & changed:
                 return RefinementStatus.STALLED
             changed |= changes
@@ -250,10 +247,6 @@ def _list_control_structure_changes(
         for name, plan in before.items()
         if after[name].structure != plan.structure
     }
-
-
-def _is_arc_sequence_unchanged(record: RefinementIteration) -> bool:
-    return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
 def _list_arcs_of_all_phases(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
