@@ -269,7 +269,7 @@ def solve(
     if options.max_wall_time is not None:
         wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
         limits = replace(limits, max_wall_time=wall)
-    budget = WorkBudget.from_limits(limits)
+    budget = WorkBudget.start_work_budget(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
         nearby = _warm_start_modified_problem(problem, guess, tol, in_a_loop)
         if nearby is not None:
@@ -346,7 +346,7 @@ def _restart_refinement(
     problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any
 ) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
-    budget, start = WorkBudget.from_limits(limits), truncate_solution_to_start_time(known, problem)
+    budget, start = WorkBudget.start_work_budget(limits), truncate_solution_to_start_time(known, problem)
     settings |= {"mesh": restore_first_stage_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.record_work(compute_refinement_work(warm))

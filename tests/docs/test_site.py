@@ -150,10 +150,8 @@ def test_titles_of_hits_name_the_class_of_a_member() -> None:
     place = "api/gnc_opt.html#gnc_opt.planning.problem.phase.Phase"
     assert hooks.search_title("Phase  <code>dataclass</code>", place) == "Phase"
     assert hooks.search_title("duration  <code>property</code>", f"{place}.duration") == "Phase.duration"
-    assert (
-        hooks.search_title("solve", "api/gnc_opt.html#gnc_opt.planning.optimal_control_solver.solve")
-        == "solve"
-    )
+    address = "api/gnc_opt.html#gnc_opt.planning.optimal_control_solver.solve"
+    assert hooks.search_title("solve", address) == "solve"
     assert hooks.search_title("Use <code>solve</code>", "howto/a.html#use") == "Use <code>solve</code>"
 
 

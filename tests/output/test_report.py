@@ -442,10 +442,8 @@ def test_sentence_on_an_inconclusive_curvature_compares_no_margin() -> None:
     )
     assert _describe_condition_result(c) == "The condition is inconclusive: second order (u: close to zero)."
     passed = dataclasses.replace(c, result=ConditionResult.PASS, value=-0.5, where="u")
-    assert (
-        _describe_condition_result(passed)
-        == "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
-    )
+    text = "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
+    assert _describe_condition_result(passed) == text
 
 
 def bryson_denham() -> go.Problem:

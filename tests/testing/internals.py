@@ -114,7 +114,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
 )
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
 from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
 from gnc_opt.plot.campaign_figures import plot_run_controls, plot_run_envelopes
 from gnc_opt.plot.figure_style import create_figure_with_axes_rows, format_unit, format_variable_name

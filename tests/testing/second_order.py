@@ -12,7 +12,7 @@ from testing.internals import (
     SampledPhase,
     _build_sampled_solution,
     check_second_order_conditions,
-    get_end_gradients,
+    get_endpoint_gradients,
     recompute_stored_data,
 )
 
@@ -26,7 +26,8 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     magnitude = EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()[-1]
     samples = [s.with_cost_scale(magnitude, s.feature_edges) for s in samples]
     return {
-        c.name: c for c in check_second_order_conditions(solution, samples, get_end_gradients(solution), tol)
+        c.name: c
+        for c in check_second_order_conditions(solution, samples, get_endpoint_gradients(solution), tol)
     }
 
 

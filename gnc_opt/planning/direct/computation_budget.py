@@ -110,7 +110,7 @@ class WorkBudget:
     _finishing_total: float = field(default=math.inf, repr=False)
 
     @classmethod
-    def from_limits(cls, limits: RefinementLimits) -> WorkBudget:
+    def start_work_budget(cls, limits: RefinementLimits) -> WorkBudget:
         """Return the budget of a search that begins now."""
         wall = math.inf if limits.max_wall_time is None else limits.max_wall_time
         deadlines = time.perf_counter() + wall, time.thread_time() + limits.max_work

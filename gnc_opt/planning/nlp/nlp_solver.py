@@ -190,8 +190,8 @@ class NlpSolver:
             A vector has a wrong length, bounds are crossed or NaN, or the plugin rejects its options.
         """
         arguments = point.build_nlpsol_arguments(self.problem)
-        box_x = Bounds.from_scalars("x", arguments["lbx"], arguments["ubx"])
-        box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
+        box_x = Bounds.create_checked_bounds("x", arguments["lbx"], arguments["ubx"])
+        box_g = Bounds.create_checked_bounds("g", arguments["lbg"], arguments["ubg"])
         self.create_nlp_solver(point, way)  # the time limit excludes the setup
         end = self.compute_deadline() if deadline is None else deadline
         return self._run_nlpsol(

@@ -125,7 +125,7 @@ def build_nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Sta
     plugin = (
         _build_ipopt_options(options, start, size)
         if options.solver == "ipopt"
-        else _build_plugin_options(options)
+        else _build_nlp_plugin_options(options)
     )
     return (
         quiet
@@ -172,7 +172,7 @@ def compute_final_barrier_parameter(tolerance: float) -> float:
     return _choose_complementarity_tolerance(tolerance) / (10.0 + 1.0)
 
 
-def _build_plugin_options(options: SolverOptions) -> dict[str, Any]:
+def _build_nlp_plugin_options(options: SolverOptions) -> dict[str, Any]:
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     wishes: dict[str, Any] = {
         "max_iter": int(options.max_iterations),

@@ -49,7 +49,7 @@ class Bounds:
     upper: Array
 
     @classmethod
-    def from_scalars(cls, name: str, lower: Array, upper: Array) -> Bounds:
+    def create_checked_bounds(cls, name: str, lower: Array, upper: Array) -> Bounds:
         box = cls(lower, upper)
         wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
         if wrong.any():

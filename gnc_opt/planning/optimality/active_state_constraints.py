@@ -415,8 +415,8 @@ class PureStateConstraints:
 def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the unexplained part of the costate jumps and the multipliers of active constraints at segment boundaries.
 
-    Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`. The
-    results are (n_states, K - 1) and (n_paths, K - 1); multipliers are >= 0 at upper limits.
+    Adjacent multiplier densities may compensate a jump of the wrong sign (`integrate_multipliers_near_boundaries`).
+    The results are (n_states, K - 1) and (n_paths, K - 1); multipliers are >= 0 at upper limits.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
@@ -475,7 +475,7 @@ def explain_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> Transve
     return TransversalityResidual(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
 
 
-def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
+def integrate_multipliers_near_boundaries(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
     offsets = np.array(s.leg.mesh.point_offsets[1:-1], dtype=int)
     near = 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
@@ -488,5 +488,5 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `PureStateConstraints`, >= 0 (n_sides, K - 1)."""
     densities = [s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]]
-    beside = integrate_nearby_multipliers(s, np.vstack(densities))
+    beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

@@ -185,25 +185,25 @@ class _StepFunctions:
         weights = ca.SX.sym("weights", state.shape[0])
         width, control, p = ca.vertsplit(inputs, [0, 1, 1 + m, inputs.shape[0]])
 
-        def evaluate_augmented_rate(z: Any) -> Any:
+        def evaluate_augmented_state_rate(z: Any) -> Any:
             x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
             unused = (np.zeros(n), np.zeros(len(s.leg.path_labels)), np.zeros(n_integrals))
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 
-        rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_rate(state))])
+        rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_state_rate(state))])
         places: list[Any] = []
         slopes: list[Any] = []
 
-        def advance_state(shares: Array) -> Any:
+        def advance_state_by_runge_kutta_stages(shares: Array) -> Any:
             moves = (float(a) * slope for a, slope in zip(shares, slopes, strict=False) if a)
             return state + width * sum(moves, start=ca.SX(0))
 
         stage_weights, step_weights = _get_butcher_tableau()
         for shares in stage_weights:
-            places.append(advance_state(shares))
+            places.append(advance_state_by_runge_kutta_stages(shares))
             slopes.append(rate(places[-1], inputs))
-        after = advance_state(step_weights)
+        after = advance_state_by_runge_kutta_stages(step_weights)
         cost_gradient = ca.SX.sym("cost_gradient", state.shape[0] + 1)
         before = ca.jtimes(after, ca.vertcat(state, width), cost_gradient[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
@@ -235,7 +235,7 @@ class _StepDerivatives:
         slope_jacobians = slope_jacobians.reshape(n_stages, n_steps, n, n)
         moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
-        def sum_stage_jacobians(shares: Array, into: Array) -> Array:
+        def sum_runge_kutta_stage_jacobians(shares: Array, into: Array) -> Array:
             """Return the derivatives of z + h * sum of share * k_i over the first stages."""
             used = np.flatnonzero(shares)
             into[:, :, :n] = np.eye(n)
@@ -245,8 +245,10 @@ class _StepDerivatives:
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, shares in enumerate(stage_weights):
-                np.matmul(slope_jacobians[i], sum_stage_jacobians(shares, moved[i]), out=change[i])
-            self.jacobians = sum_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
+                np.matmul(
+                    slope_jacobians[i], sum_runge_kutta_stage_jacobians(shares, moved[i]), out=change[i]
+                )
+            self.jacobians = sum_runge_kutta_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
         self._rates, self._inputs, self._places = rates, inputs, places
         self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians
 

@@ -234,7 +234,7 @@ def _build_initial_gramian(
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
     size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
-    size = np.where(size > 0, size, s.leg.state_bounds.finite_width_or_zero)
+    size = np.where(size > 0, size, s.leg.state_bounds.interval_width_or_zero)
     own = left * replace_zero_divisors_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():

@@ -47,7 +47,7 @@ class ProgramLimits:
     labels: tuple[str, ...]
 
     @classmethod
-    def from_values(
+    def determine_active_set(
         cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
     ) -> ProgramLimits:
         """Return the limits with the active set determined from values and multipliers (densities)."""
@@ -120,10 +120,12 @@ class ProgramPoint:
         weights, row_weights = compute_quadrature_weights(transcription)
         p = transcription.build_parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
-        variables = ProgramLimits.from_values(
+        variables = ProgramLimits.determine_active_set(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
-        rows = ProgramLimits.from_values(row_box, g, lam / row_weights, transcription.constraint_row_labels)
+        rows = ProgramLimits.determine_active_set(
+            row_box, g, lam / row_weights, transcription.constraint_row_labels
+        )
         return cls(
             problem,
             transcription,
@@ -133,9 +135,9 @@ class ProgramPoint:
             variables,
             rows,
             rounding * objective,
-        )._add_junction_multipliers()
+        )._estimate_junction_multipliers()
 
-    def _add_junction_multipliers(self) -> ProgramPoint:
+    def _estimate_junction_multipliers(self) -> ProgramPoint:
         """Return the point with the multipliers of its junctions, from the gradient without costate jumps."""
         if not self.transcription.junctions:
             return self
@@ -306,7 +308,7 @@ class NullSpace:
     def dimension(self) -> int:
         return int(self.unit.shape[1])
 
-    def project_hessian(self, hessian: Any) -> Any:
+    def project_hessian_to_null_space(self, hessian: Any) -> Any:
         """Return a Hessian in all scaled variables as a Hessian in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 

@@ -36,7 +36,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
+from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables_by_quadrature
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -149,7 +149,7 @@ def estimate_multipliers(
     """
     x = _sample_trajectory_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_scales(transcription, problem, fitted, x)
-    values, gradient, nonzeros = transcription.evaluate_derivatives(problem, x)
+    values, gradient, nonzeros = transcription.evaluate_nlp_first_derivatives(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
@@ -160,8 +160,8 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _ActiveSet.from_values(transcription.get_variable_bounds(problem), x, near * scales)
-    row_limits = _ActiveSet.from_values(
+    limits = _ActiveSet.determine_active_set(transcription.get_variable_bounds(problem), x, near * scales)
+    row_limits = _ActiveSet.determine_active_set(
         transcription.get_constraint_bounds(problem), values, near / row_scales
     )
     gradients, sizes, at_limits = _find_costate_jump_candidates(
@@ -192,14 +192,14 @@ class _ActiveSet:
         self.lower, self.upper = lower, upper
 
     @classmethod
-    def from_values(cls, box: Interval, values: Array, slack: Array) -> _ActiveSet:
+    def determine_active_set(cls, box: Interval, values: Array, slack: Array) -> _ActiveSet:
         return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
 
     @property
     def is_at_any_limit(self) -> Mask:
         return self.lower | self.upper
 
-    def has_wrong_sign(self, multipliers: Array, size: float) -> Mask:
+    def mask_wrong_multiplier_signs(self, multipliers: Array, size: float) -> Mask:
         """Return which multipliers have an inadmissible sign."""
         sign = np.where(np.abs(multipliers) > NEGLIGIBLE * size, np.sign(multipliers), 0.0)
         return self.is_at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
@@ -282,8 +282,8 @@ def _fit_multipliers(
             -form.compute_dual_residuals(unknowns, gradient.size),
             np.max(np.abs(found), initial=TINY),
         )
-        pulling = limits.has_wrong_sign(own, size) & ~imposed
-        wrong = row_limits.has_wrong_sign(found, float(largest)) & pushing & ~basis
+        pulling = limits.mask_wrong_multiplier_signs(own, size) & ~imposed
+        wrong = row_limits.mask_wrong_multiplier_signs(found, float(largest)) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
@@ -341,7 +341,7 @@ def _sample_trajectory_variables(
         free_times = part.times < transcription.n_variables
         x[part.times[free_times]] = breaks[list(collocation.mesh.arc_breaks)][free_times]
     x[transcription.parameter_places] = q
-    return set_integral_variables(transcription, problem, x)
+    return set_integral_variables_by_quadrature(transcription, problem, x)
 
 
 def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:

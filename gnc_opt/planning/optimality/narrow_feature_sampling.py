@@ -30,10 +30,10 @@ def find_sign_change_times(
     """Return times (n,) at which rows of a function (n_rows, n_times) change sign, or the midpoints."""
     from scipy.optimize.elementwise import find_root  # loads scipy.optimize
 
-    def evaluate_rows(times: Array, row: Array) -> Array:
+    def evaluate_selected_function_rows(times: Array, row: Array) -> Array:
         return np.asarray(function(times)[row.astype(int), np.arange(times.size)])
 
-    found = find_root(evaluate_rows, (left, right), args=(rows,))
+    found = find_root(evaluate_selected_function_rows, (left, right), args=(rows,))
     return np.where(found.success, found.x, 0.5 * (left + right))
 
 

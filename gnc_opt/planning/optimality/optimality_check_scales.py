@@ -301,7 +301,7 @@ def _compute_parameter_variation_scales(
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().finite_width_or_zero
+    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().interval_width_or_zero
     return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
 
 

@@ -322,7 +322,7 @@ class SwitchingTimeProblem:
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
         for s in self._samples:
-            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_integrated_states(s)
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_augmented_states(s)
             adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
@@ -348,14 +348,14 @@ def _choose_integration_grid(
     return GRIDS[which], flows[which]
 
 
-def _count_integrated_states(s: PhaseSamples) -> int:
+def _count_augmented_states(s: PhaseSamples) -> int:
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
 def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
     """Return states, integrals and time at the start and at the end of a flow."""
     flow = flows[s.leg.name]
-    return flow.initial[: _count_integrated_states(s)], flow.final_state[: _count_integrated_states(s)]
+    return flow.initial[: _count_augmented_states(s)], flow.final_state[: _count_augmented_states(s)]
 
 
 def _differentiate_boundary_states(
@@ -365,8 +365,8 @@ def _differentiate_boundary_states(
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_state_sensitivity):
-            block = np.zeros((_count_integrated_states(s), unknowns.scale.size))
-            block[:, places] = sensitivity[: _count_integrated_states(s)] * unknowns.scale[places]
+            block = np.zeros((_count_augmented_states(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _count_augmented_states(s)] * unknowns.scale[places]
             rows.append(block)
     shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
     rows.append(np.diag(unknowns.scale)[shared])
@@ -386,7 +386,7 @@ def _collect_boundary_conditions(
     others: list[EndConditions] = []
     row = 0
     for s in samples:
-        phase, name, size, n = s.leg, s.leg.name, _count_integrated_states(s), s.leg.states.size
+        phase, name, size, n = s.leg, s.leg.name, _count_augmented_states(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         limits = intersect_bounds(phase.final_bounds, phase.state_bounds)
         at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))

@@ -61,7 +61,7 @@ class FittedPhase:
     x: PiecewisePolynomial
     u: PiecewisePolynomial
 
-    def split_segments(self, parts: int) -> FittedPhase:
+    def split_mesh_segments(self, parts: int) -> FittedPhase:
         """Return the same trajectory on a mesh with segments divided into equal parts."""
         if parts == 1:
             return self
@@ -92,7 +92,7 @@ def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPha
     of_control = np.any(sizes > SMALL * np.ptp(samples.u, axis=1)[:, None], axis=0)
     pairs = zip(twice, of_control, strict=True)
     jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not here) for i, here in pairs]
-    unmarked = _find_jumps_between_samples(samples, twice)
+    unmarked = _find_control_jumps_between_samples(samples, twice)
     jumps += unmarked
     jumps += _find_control_slope_jumps(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
@@ -113,7 +113,7 @@ class _Jump:
     of_slope: bool = False
 
 
-def _find_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_Jump]:
+def _find_control_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_Jump]:
     t, u = samples.t, samples.u
     size = np.abs(np.diff(u, axis=1))
     size[:, twice] = 0.0

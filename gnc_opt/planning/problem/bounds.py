@@ -126,7 +126,7 @@ class Interval:
         return np.asarray(0.5 * (low + high))
 
     @property
-    def finite_width_or_zero(self) -> Array:
+    def interval_width_or_zero(self) -> Array:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 

@@ -199,7 +199,7 @@ class FunctionValues:
     derivatives: Array
 
     @classmethod
-    def from_casadi_outputs(
+    def read_casadi_function_values(
         cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any
     ) -> FunctionValues:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
@@ -252,7 +252,7 @@ def evaluate_phase_functions(
     tried = {}
     for what, rows, function in _get_phase_functions_with_jacobian(problem, phase):
         outputs = function(times.reshape(1, -1), states, controls, phase.model.parameter_values, parameters)
-        tried[what] = FunctionValues.from_casadi_outputs(what, rows, columns, outputs)
+        tried[what] = FunctionValues.read_casadi_function_values(what, rows, columns, outputs)
     return tried
 
 
@@ -333,7 +333,7 @@ def _check_phase_functions_finite(problem: ProblemData, phase: Phase) -> list[An
 def _check_endpoint_functions_finite(problem: ProblemData, ends: list[Any]) -> None:
     """Evaluate the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _get_endpoint_functions_with_jacobian(problem):
-        tried = FunctionValues.from_casadi_outputs(
+        tried = FunctionValues.read_casadi_function_values(
             what, rows, columns, function(*ends, problem.get_parameter_guess())
         )
         bad = tried.find_nonfinite_value()

@@ -152,7 +152,7 @@ class SymbolRanges:
         return cls((*phase.model.symbolic_arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
-    def from_boundary_variables(cls, problem: ProblemData) -> SymbolRanges:
+    def collect_boundary_variable_ranges(cls, problem: ProblemData) -> SymbolRanges:
         """Return the domain of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.get_parameter_bounds()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model

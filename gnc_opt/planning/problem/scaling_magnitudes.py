@@ -39,8 +39,8 @@ def estimate_phase_magnitudes(phase: Phase, *, overridden: bool = True) -> tuple
     if overridden:
         _overwrite_scales_by_user_input(controls, phase.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _estimate_state_changes(phase, start, controls)
-    beside = _estimate_state_changes(
+    drift = _estimate_state_change_over_phase(phase, start, controls)
+    beside = _estimate_state_change_over_phase(
         phase, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
     )
     drift = np.where(drift > ROUNDING * beside, drift, beside)
@@ -53,7 +53,7 @@ def estimate_phase_magnitudes(phase: Phase, *, overridden: bool = True) -> tuple
     return states, controls
 
 
-def _estimate_state_changes(phase: Phase, start: SampledGuess, magnitudes: Array) -> Array:
+def _estimate_state_change_over_phase(phase: Phase, start: SampledGuess, magnitudes: Array) -> Array:
     """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
     bounds = phase.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])

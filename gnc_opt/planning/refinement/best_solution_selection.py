@@ -115,7 +115,7 @@ class Candidate:
             return False
         return found.infeasibility + self.integrated_hamiltonian_excess <= tol * found.scale
 
-    def get_ranking_errors(self, tol: float) -> tuple[float, float]:
+    def get_errors_for_solution_ranking(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
 
         The loss of the minimum principle replaces the estimate if it is smaller.
@@ -159,7 +159,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     if not solved:
         return len(candidates) - 1
     among = [k for k in solved if candidates[k].is_verdict_ok] or solved
-    best = min(among, key=lambda k: candidates[k].get_ranking_errors(tol))
+    best = min(among, key=lambda k: candidates[k].get_errors_for_solution_ranking(tol))
     for k in solved:
         credible = candidates[k].largest_local_error <= max(
             LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error

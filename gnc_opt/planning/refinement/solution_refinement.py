@@ -80,7 +80,7 @@ def refine(
     limits = limits or RefinementLimits()
     require_type(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     solution.need_solved_problem("refine")
-    budget = WorkBudget.from_limits(limits)
+    budget = WorkBudget.start_work_budget(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, options, progress)
     return run_refinement_stages(solution, stages, structure)
 

@@ -112,7 +112,7 @@ class StagedRefinement:
                 'bounds: use structure="none".'
             )
         return self._run_stages_until_termination(
-            first, self._solve_with_arcs(first, FIRST, found, share=1.0)
+            first, self._solve_with_detected_arcs(first, FIRST, found, share=1.0)
         )
 
     def build_interrupted_result(self, first: Solution) -> Solution:
@@ -182,7 +182,7 @@ class StagedRefinement:
                     yield from self._refine_first_mesh(first, stage)
         middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
+            yield from self._solve_with_detected_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_candidate_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
@@ -190,7 +190,7 @@ class StagedRefinement:
             if again is not None:
                 yield again
                 fine = again if again.has_lower_cost_on_same_mesh(fine) else fine
-            yield from self._solve_with_arcs(fine.solution, f"{FINE}, switching times")
+            yield from self._solve_with_detected_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
     def _refine_first_mesh(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
@@ -200,7 +200,7 @@ class StagedRefinement:
         if stage == FIRST:
             self._first = candidate
         if arcs:
-            yield from self._solve_with_arcs(first, f"{stage}, switching times", found)
+            yield from self._solve_with_detected_arcs(first, f"{stage}, switching times", found)
         if stage == FIRST:
             yield candidate
         if not arcs or candidate.is_objective_error_small(self.tol):
@@ -225,9 +225,9 @@ class StagedRefinement:
     def _refine_best_mesh(self) -> Iterator[Candidate]:
         """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
-        start = min(meshes, key=lambda c: c.get_ranking_errors(self.tol))
+        start = min(meshes, key=lambda c: c.get_errors_for_solution_ranking(self.tol))
         found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
-        yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
+        yield from self._solve_with_detected_arcs(found.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.largest_local_error <= self.tol or not found.is_nearly_optimal:
                 return
@@ -313,7 +313,7 @@ class StagedRefinement:
         yield candidate
         return candidate
 
-    def _solve_with_arcs(
+    def _solve_with_detected_arcs(
         self,
         start: Solution,
         stage: str,

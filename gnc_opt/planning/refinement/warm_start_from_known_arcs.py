@@ -34,7 +34,7 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     satisfies_inequality_limits,
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
-from gnc_opt.planning.solution.phase_solution import truncate_phase_before
+from gnc_opt.planning.solution.phase_solution import truncate_phase_to_start_time
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -119,7 +119,7 @@ def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Soluti
         or not phase.initial_time < begins.lower[0] < phase.final_time
     ):
         return known
-    rest = truncate_phase_before(phase, float(begins.lower[0]))
+    rest = truncate_phase_to_start_time(phase, float(begins.lower[0]))
     return replace(known, phases={name: rest}, structure=())
 
 
@@ -163,7 +163,7 @@ class KnownArcs:
         start = truncate_solution_to_start_time(self.solution, problem)
         start = replace(start, problem=problem.frozen(), structure=())
         if self.structures:
-            found: tuple[Solution, History] | None = self._solve_with_arcs(start, tol)
+            found: tuple[Solution, History] | None = self._solve_with_known_arcs(start, tol)
         else:
             found = self._solve_on_known_mesh(start, problem, tol)
         if found is None:
@@ -176,7 +176,7 @@ class KnownArcs:
             return None
         return build_solution_of_best_candidate([candidate], None, tol, begin, check)
 
-    def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
+    def _solve_with_known_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         begins = {name: phase.initial_time for name, phase in start.phases.items()}
         left = {name: s.truncate_arcs_before(begins[name]) for name, s in self.structures.items()}
         return optimise_switching_times(

@@ -214,7 +214,7 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     controls = samples.u if applied else samples.u_polynomial
     signal = samples.leg.applied if applied else samples.leg.u
     every = limits.compute_limit_excess(samples.times, samples.x, controls)
-    k, j, rise = _find_sample_peaks(samples, every)
+    k, j, rise = _find_local_violation_peaks(samples, every)
     times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * rise
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
@@ -248,7 +248,7 @@ def _find_neighbouring_samples(samples: PhaseSamples, j: Indices, step: int) -> 
     return np.where(samples.segments[other] == samples.segments[j], other, j)
 
 
-def _find_sample_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, Indices, Array]:
+def _find_local_violation_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, Indices, Array]:
     """Return limit and sample of local maxima within segments, and their rise above the lower neighbour (m,)."""
     j = np.arange(samples.times.size)
     before, after = (_find_neighbouring_samples(samples, j, step) for step in (-1, 1))
@@ -302,7 +302,7 @@ class Worst:
         return self if np.isnan(self.value) or other.value <= self.value else other
 
     @classmethod
-    def locate_largest_value(cls, values: Array, describe: Callable[..., str]) -> Worst:
+    def find_largest_value(cls, values: Array, describe: Callable[..., str]) -> Worst:
         """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
         if not values.size:
             return NOTHING
@@ -331,7 +331,7 @@ def compute_segment_defects(samples: PhaseSamples) -> Array:
 def find_worst_defect(samples: PhaseSamples) -> Worst:
     labels = samples.leg.states.labels
     defects = compute_segment_defects(samples)
-    return Worst.locate_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
+    return Worst.find_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
 
 
 def compute_terminal_error(samples: PhaseSamples) -> float:

@@ -40,7 +40,7 @@ def choose_initial_nlp_point(
     """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess."""
     if guess is None:
         curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
-        return InitialNlpPoint(set_integral_variables(transcription, problem, curved))
+        return InitialNlpPoint(set_integral_variables_by_quadrature(transcription, problem, curved))
     start = build_nlp_point_from_guess(transcription, problem)
     return build_nlp_point_from_solution(transcription, problem, guess, start)
 
@@ -64,12 +64,12 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
     return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
 
 
-def set_integral_variables(transcription: Transcription, problem: Problem, x: Array) -> Array:
+def set_integral_variables_by_quadrature(transcription: Transcription, problem: Problem, x: Array) -> Array:
     """Set integral variables to the integrals along x, using their rows (integral - quadrature)."""
     places = transcription.integral_places
     if not places.size:
         return x
-    values = transcription.evaluate_derivatives(problem, x)[0]
+    values = transcription.evaluate_nlp_first_derivatives(problem, x)[0]
     x = x.copy()
     x[places] -= np.nan_to_num(values[-places.size :])
     return x
@@ -89,7 +89,7 @@ def build_nlp_point_from_solution(
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
-    return InitialNlpPoint(set_integral_variables(transcription, problem, x), lam_x, lam_g)
+    return InitialNlpPoint(set_integral_variables_by_quadrature(transcription, problem, x), lam_x, lam_g)
 
 
 def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:

@@ -284,7 +284,7 @@ def build_time_history(phase: PhaseSolution, times: ArrayLike | None = None) -> 
     return TabularData(Variable("time", unit="s"), t, tuple(columns), {"phase": phase.name})
 
 
-def truncate_phase_before(phase: PhaseSolution, time: float) -> PhaseSolution:
+def truncate_phase_to_start_time(phase: PhaseSolution, time: float) -> PhaseSolution:
     """Return the part of a phase after a given time, with the state at that time as initial state.
 
     It solves the remaining problem (principle of optimality). Costates and multipliers are included; integrals and

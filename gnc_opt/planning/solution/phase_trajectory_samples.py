@@ -97,7 +97,7 @@ class PhaseSamples:
         vars(other).update(cached)
         return other
 
-    def resample_evenly(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
+    def resample_at_even_times(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
         """Return samples at ``count`` or more evenly spaced times, two Gauss points per step, and at segment ends.
 
         Every segment has at least ``least`` steps.
@@ -304,7 +304,7 @@ class PhaseSamples:
     @cached_property
     def control_scale(self) -> Array:
         """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
-        span, reach = self.leg.control_bounds.finite_width_or_zero, np.max(np.abs(self.u), axis=1)
+        span, reach = self.leg.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
         return np.where(span > 0, span, replace_tiny_divisors_by_one(reach))
 
     @cached_property

@@ -69,7 +69,7 @@ class PiecewisePolynomial:
         result = np.empty((self.values[0].shape[0], times.size))
         build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
         for group, here, places, basis in build(*self._breaks_and_nodes, times.tobytes(), side):
-            values = self._values_by_node_group[group][:, :, places]
+            values = self._segment_values_by_node_group[group][:, :, places]
             result[:, here] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -77,7 +77,9 @@ class PiecewisePolynomial:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_float_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        groups = zip(_group_equal_nodes(self._breaks_and_nodes[1]), self._values_by_node_group, strict=True)
+        groups = zip(
+            _group_equal_nodes(self._breaks_and_nodes[1]), self._segment_values_by_node_group, strict=True
+        )
         for (nodes, weights, places), values in groups:
             basis = interpolate_barycentric(nodes, weights, at)
             result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
@@ -116,7 +118,7 @@ class PiecewisePolynomial:
         return self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes)
 
     @cached_property
-    def _values_by_node_group(self) -> list[Array]:
+    def _segment_values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
         groups = [
             np.flatnonzero(places >= 0) for _, _, places in _group_equal_nodes(self._breaks_and_nodes[1])

@@ -80,7 +80,7 @@ def build_phase_solutions(
     """Return the solution of every phase, and the end-point gradients."""
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
-    extended = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])
+    extended = np.concatenate([iterate.x, transcription.list_fixed_phase_times(problem)])
     integrals: dict[str, Array] = {}
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
@@ -103,7 +103,7 @@ def build_phase_solutions(
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with unwrapped angular controls."""
     q = variables[transcription.parameter_places]
-    extended = np.concatenate([variables, transcription.list_fixed_times(problem)])
+    extended = np.concatenate([variables, transcription.list_fixed_phase_times(problem)])
     found = variables.copy()
     for name, part in transcription.parts.items():
         phase, collocation = problem.phases[name], part.collocation
@@ -151,7 +151,7 @@ def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) ->
     return anchors[collocation.point_arc_indices] + collocation.normalised_times_in_arcs * spans, spans
 
 
-def _fix_movable_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+def _fix_movable_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """Return the mesh with movable breaks at their final positions, and all boundary times (K + 1,)."""
     # Far from t = 0, the shortest segment must still have distinct boundary times.
     shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
@@ -174,7 +174,7 @@ def _build_phase_solution(
 ) -> PhaseSolution:
     phase, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
-    anchors = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])[part.times]
+    anchors = np.concatenate([iterate.x, transcription.list_fixed_phase_times(problem)])[part.times]
     times, spans = _compute_collocation_times(collocation, anchors)
     functions = bind_free_parameter_values(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
@@ -185,7 +185,7 @@ def _build_phase_solution(
     paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
     rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
-    mesh, breaks = _fix_movable_breaks(collocation.mesh, anchors)
+    mesh, breaks = _fix_movable_mesh_breaks(collocation.mesh, anchors)
     without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
     push = gradient - without_pure
     costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, push)

@@ -93,7 +93,7 @@ def compute_state_scales(
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
     return _replace_zero_scales_by_fallbacks(
-        spans, *(box.finite_width_or_zero for box in boxes), size, np.ones(size.size)
+        spans, *(box.interval_width_or_zero for box in boxes), size, np.ones(size.size)
     )
 
 
@@ -107,7 +107,7 @@ def compute_control_scales(
     (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a range
     the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
-    extent, size = phase.control_bounds.finite_width_or_zero, np.max(np.abs(applied), axis=1)
+    extent, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
     moved = np.ptp(applied, axis=1) if applied.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)

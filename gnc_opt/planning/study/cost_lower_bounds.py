@@ -207,14 +207,14 @@ def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
     span = max(t - solved.initial_time, ROUNDING)
     rates = np.maximum(np.ptp(solved.x(solved.sample_times(4), "right"), axis=1) / span, ROUNDING)
 
-    def compute_rate_residuals(control: Array) -> Array:
+    def compute_equilibrium_rate_residuals(control: Array) -> Array:
         rate, rows = (
             np.ravel(value.full()) for value in along(target, control, phase.model.parameter_values)
         )
         return np.concatenate([rate / rates, limits.compute_bound_violation(rows)])
 
     if not box.lower.size:
-        return bool(np.all(np.abs(compute_rate_residuals(np.zeros(0))) <= EQUAL))
+        return bool(np.all(np.abs(compute_equilibrium_rate_residuals(np.zeros(0))) <= EQUAL))
     inner = np.where(box.is_fixed, np.inf, box.upper), np.where(box.is_fixed, -np.inf, box.lower)
     starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), solved.applied(t, "left"))
     for start in starts:
@@ -224,7 +224,7 @@ def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
         def compute_equilibrium_residuals(values: Array, held: Array = held, free: Any = free) -> Array:
             control = held.copy()
             control[free] = values
-            return compute_rate_residuals(control)
+            return compute_equilibrium_rate_residuals(control)
 
         begin = np.clip(held[free], inner[1][free], inner[0][free])
         found = scipy.optimize.least_squares(

@@ -332,7 +332,7 @@ class SaddlePointSystem:
             except RuntimeError:  # a pivot is zero
                 self.redundant = True
         if self.redundant:
-            self._classify_singularity()
+            self._reject_undetermined_variables()
 
     def _estimate_condition_number(self) -> float:
         n = self._matrix.shape[0]
@@ -348,7 +348,7 @@ class SaddlePointSystem:
             else 1.0
         )
 
-    def _classify_singularity(self) -> None:
+    def _reject_undetermined_variables(self) -> None:
         """Raise `GncOptError` if a singular system leaves a variable undetermined; multipliers may be undetermined."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)

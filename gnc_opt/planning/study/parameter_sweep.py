@@ -186,7 +186,7 @@ def sweep(
     if not callable(problem_of):
         raise ArgumentError("sweep() needs a function: write sweep(build, {...}), build returns a problem.")
     axes = _read_parameter_grid(grid)
-    _check_problem_builder(problem_of, axes)
+    _check_problem_builder_arguments(problem_of, axes)
     named = read_optional_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
     for name, output in named.items():
         if not callable(output):
@@ -222,7 +222,7 @@ def sweep(
     return Sweep(axes, solutions, endings, found, interrupted)
 
 
-def _check_problem_builder(problem_of: Family, axes: Mapping[str, Array]) -> None:
+def _check_problem_builder_arguments(problem_of: Family, axes: Mapping[str, Array]) -> None:
     """Raise `ArgumentError` if the family does not accept the grid's parameters."""
     try:
         signature = inspect.signature(problem_of)

@@ -490,7 +490,7 @@ def _differentiate_rates_at_points(
     own = problem.phases[part.name]
     variables = program.x * program.scaling.variables
     q = variables[program.transcription.parameter_places]
-    extended = np.concatenate([variables, program.transcription.list_fixed_times(problem)])
+    extended = np.concatenate([variables, program.transcription.list_fixed_phase_times(problem)])
     here, there = extended[part.times], moved[part.times]
     arcs, fractions = collocation.point_arc_indices, collocation.normalised_times_in_arcs
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]

@@ -86,7 +86,7 @@ def _compute_jacobian_magnitudes(
     limits, room = transcription.get_constraint_bounds(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
-        values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)
+        values, slope, jacobian = transcription.evaluate_nlp_first_derivatives(problem, inside)
         gradient = np.maximum(gradient, np.abs(set_nonfinite_to_zero(slope)))
         nonzeros = np.maximum(nonzeros, np.abs(set_nonfinite_to_zero(jacobian)))
         room = np.maximum(

@@ -314,7 +314,7 @@ class Transcription(NlpLayout):
             ),
         )
 
-    def evaluate_derivatives(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
+    def evaluate_nlp_first_derivatives(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
         """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros in physical units."""
         ones = np.ones(self.n_variables), np.ones(self.n_constraints)
         p = self.build_parameter_vector(problem, *ones, 1.0)
@@ -326,7 +326,7 @@ class Transcription(NlpLayout):
     def stack_problem_data(self, problem: Problem) -> Array:
         """Return the model parameters and fixed times of a problem."""
         models = [phase.model.parameter_values for phase in problem.phases.values()]
-        return np.concatenate([*models, self.list_fixed_times(problem)])
+        return np.concatenate([*models, self.list_fixed_phase_times(problem)])
 
     def build_parameter_vector(
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
@@ -334,7 +334,7 @@ class Transcription(NlpLayout):
         """Return the parameters of the program: model parameters, fixed times and scales."""
         return np.concatenate([self.stack_problem_data(problem), scales, row_scales, [objective_scale]])
 
-    def list_fixed_times(self, problem: Problem) -> Array:
+    def list_fixed_phase_times(self, problem: Problem) -> Array:
         """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""
         times = [phase.time_ranges()[end] for phase in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.is_fixed[0] else 0.0 for t in times])

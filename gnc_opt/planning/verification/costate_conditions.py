@@ -29,7 +29,7 @@ from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, set_nonfinite_to_ze
 from gnc_opt.planning.optimality.active_state_constraints import (
     explain_costate_gap,
     explain_costate_jumps,
-    integrate_nearby_multipliers,
+    integrate_multipliers_near_boundaries,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
@@ -45,7 +45,7 @@ from gnc_opt.planning.verification.feasibility import (
     compute_path_constraint_changes,
     locate_largest_value_over_time,
 )
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
 
 ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""
@@ -77,7 +77,7 @@ def impose_constraints_active_at_ends(
         constraint_multipliers=np.concatenate(pushes),
         constraint_labels=problem.constraint_labels(),
     )
-    return stated, get_end_gradients(stated)
+    return stated, get_endpoint_gradients(stated)
 
 
 def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
@@ -109,7 +109,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             )
         k = int(np.argmax(share))
         place = s.describe_segment(
-            k, f"adjoint equation of {_find_costliest_state_label(s, total[:, k], along.radius)}"
+            k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], along.radius)}"
         )
         worst = worst.select_larger(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
@@ -117,13 +117,13 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             share = along.support_function(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
-            label = _find_costliest_state_label(s, jumps[:, k], along.radius)
+            label = _find_state_of_costliest_gradient(s, jumps[:, k], along.radius)
             place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
             worst = worst.select_larger(Worst(float(share[k]), place))
     return worst
 
 
-def _find_costliest_state_label(s: PhaseSamples, gradient: Array, radius: Array) -> str:
+def _find_state_of_costliest_gradient(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     """Return the label of the state whose gradient costs most along its reach."""
     return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
@@ -171,7 +171,8 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             violation = float(ellipsoid.support_function(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_control_change_by_costate_gap(s, left))
-            place = f"phase {s.leg.name}, {end}, costate of {_find_costliest_state_label(s, left, ellipsoid.radius)}"
+            state = _find_state_of_costliest_gradient(s, left, ellipsoid.radius)
+            place = f"phase {s.leg.name}, {end}, costate of {state}"
             worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
@@ -261,13 +262,16 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
         / scales.cost
     )
     places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
-    return Worst.locate_largest_value(violation, places.__getitem__)
+    return Worst.find_largest_value(violation, places.__getitem__)
 
 
 def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     phase, breaks = s.leg, s.leg.breaks[1:-1]
-    impulses, beside = phase.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, phase.state_multipliers)
+    impulses, beside = (
+        phase.state_impulses[:, 1:-1],
+        integrate_multipliers_near_boundaries(s, phase.state_multipliers),
+    )
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[phase.name].along.radius[:, None]
     left, x = impulses - made_up_for, phase.x(breaks)
@@ -303,7 +307,7 @@ def check_parameter_stationarity(
         / scales.cost
     )
     places = [f"parameter {label}" for label in solution.free_parameters.labels]
-    return Worst.locate_largest_value(violation, places.__getitem__)
+    return Worst.find_largest_value(violation, places.__getitem__)
 
 
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:

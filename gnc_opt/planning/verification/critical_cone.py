@@ -150,7 +150,7 @@ class CriticalCone:
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
             (point.rows, point.constraint_values, point.multiplier_densities[1], of_rows),
         ):
-            limit_set = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
+            limit_set = ProgramLimits.determine_active_set(limits.box, values, multipliers, limits.labels)
             doubtful = limit_set.mask_weakly_active_limits(values, multipliers)
             held = limit_set.active & ~doubtful
             _extend_active_limits_along_arcs(lines, values, held & ~limits.box.is_fixed, held, doubtful)

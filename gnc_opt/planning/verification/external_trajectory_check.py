@@ -284,7 +284,7 @@ def _build_sampled_solution(
     fitted = {
         name: fit_trajectory_polynomials(
             samples[name], bind_free_parameter_values(problem, name, q).state_rates
-        ).split_segments(parts)
+        ).split_mesh_segments(parts)
         for name in problem.phases
     }
     transcription = transcribe_problem(problem, {name: fit.mesh for name, fit in fitted.items()}, GAUSS)

@@ -70,7 +70,7 @@ def locate_largest_value_over_time(
     s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]
 ) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
-    return Worst.locate_largest_value(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
+    return Worst.find_largest_value(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
@@ -89,7 +89,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
-    phase, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
+    phase, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_at_even_times(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
     held = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
@@ -149,7 +149,7 @@ def check_trajectory_limits(
             _find_state_violation(s, scales)
         )
         if s.leg.path_labels:
-            for at in (s, s.resample_evenly(SCANNED_PATHS)):
+            for at in (s, s.resample_at_even_times(SCANNED_PATHS)):
                 worst = worst.select_larger(_find_path_violation(s, at, scales))
             worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
     return check_tolerance(
@@ -238,7 +238,7 @@ def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
     places = [f"phase {s.leg.name}, {label}, effect on the cost" for label in s.leg.path_labels]
-    return Worst.locate_largest_value(price, places.__getitem__)
+    return Worst.find_largest_value(price, places.__getitem__)
 
 
 def check_table_ranges(solution: Solution) -> Condition:
@@ -332,7 +332,7 @@ def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Sca
     price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
-    return Worst.locate_largest_value(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
+    return Worst.find_largest_value(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
 
 
 def check_reported_cost(
@@ -350,10 +350,10 @@ def check_reported_cost(
     for s in checked:
         phase, kept = s.leg, stored.phases[s.leg.name]
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = integrate_cost_terms(s.resample_evenly(SCANNED))
+        narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED))
         if max_norm(phase.integral_weights * (narrow - phase.integrals)) > tolerance * yardstick:
             narrow = integrate_cost_terms(
-                s.resample_evenly(SCANNED, LAYER_STEPS)
+                s.resample_at_even_times(SCANNED, LAYER_STEPS)
             )  # for layers the scan itself may be inaccurate
         rows = [
             ("integral", phase.integral_weights * (kept.integrals - phase.integrals)),
@@ -363,9 +363,7 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(
-                Worst.locate_largest_value(np.abs(off) / yardstick, places.__getitem__)
-            )
+            worst = worst.select_larger(Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__))
     return check_tolerance(
         "cost",
         worst,

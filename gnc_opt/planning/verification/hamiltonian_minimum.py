@@ -191,7 +191,7 @@ class _MinimumSearch:
         )
         return set_nonfinite_to_zero(np.moveaxis(jacobian, 2, 0))
 
-    def evaluate_gradient_and_hessian(
+    def evaluate_hamiltonian_derivatives(
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
@@ -209,7 +209,7 @@ class _MinimumSearch:
         if not self.s.functions.is_hamiltonian_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.evaluate_gradient_and_hessian(self._normalised_controls, every)
+        gradient, bends = self.evaluate_hamiltonian_derivatives(self._normalised_controls, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
@@ -362,14 +362,14 @@ class _MinimumSearch:
 
     def _compute_newton_step(self, shares: Array, at: Indices) -> Array:
         """Return Newton's step (group, n) along active bounds and path constraints."""
-        gradient, bends = self.evaluate_gradient_and_hessian(shares, at)
+        gradient, bends = self.evaluate_hamiltonian_derivatives(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_path_constraints):
             rows, mu = self._compute_path_multipliers(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
-            bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
+            bends = self.evaluate_hamiltonian_derivatives(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
         pull = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
         steepest = np.max(np.abs(pull), axis=1)

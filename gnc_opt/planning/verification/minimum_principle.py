@@ -114,9 +114,7 @@ def _estimate_hamiltonian_decreases(
 
 
 def _locate_largest_hamiltonian_decrease(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    return Worst.locate_largest_value(
-        loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i])
-    )
+    return Worst.find_largest_value(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
 def check_minimum_principle(

@@ -44,7 +44,7 @@ from gnc_opt.planning.verification.stored_data_check import (
     check_stored_data,
     compare_costates,
     find_nonfinite_stored_value,
-    get_end_gradients,
+    get_endpoint_gradients,
     has_costates,
     recompute_stored_data,
 )
@@ -132,7 +132,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
 def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_stored_data(solution)
     samples = list(solution.samples().values())
-    ends = get_end_gradients(solution)
+    ends = get_endpoint_gradients(solution)
     amount = float(EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()[-1])
     with_costates = has_costates(samples, ends, amount)
     missing = find_nonfinite_stored_value(stored, with_costates)
@@ -171,7 +171,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     checked = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_duration)
-        checked = [_mark_zero_duration_phase(c, vanished) for c in checked]
+        checked = [_mark_condition_of_zero_duration_phase(c, vanished) for c in checked]
     if least:
         checked = [_pass_condition_by_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
@@ -346,7 +346,7 @@ def _mark_condition_inconclusive(condition: Condition, where: str, meaning: str)
     return replace(found, loss=None, unit="")
 
 
-def _mark_zero_duration_phase(condition: Condition, phase: str) -> Condition:
+def _mark_condition_of_zero_duration_phase(condition: Condition, phase: str) -> Condition:
     if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
     inconclusive = _mark_condition_inconclusive(

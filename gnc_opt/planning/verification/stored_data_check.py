@@ -64,12 +64,12 @@ def recompute_stored_data(solution: Solution) -> Solution:
         for name, phase in stated.items()
         if phase.integral_labels
     }
-    weights = get_end_gradients(replace(checked, phases=measured)).integrals
+    weights = get_endpoint_gradients(replace(checked, phases=measured)).integrals
     weighed = {name: replace(phase, integral_weights=weights[name]) for name, phase in measured.items()}
     return replace(checked, phases=weighed)
 
 
-def get_end_gradients(solution: Solution) -> EndGradients:
+def get_endpoint_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
     ends = {name: phase.endpoint_arguments for name, phase in solution.phases.items()}

@@ -53,7 +53,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
@@ -270,7 +270,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
         apart, list(apart.samples().values())
     ).compute_largest_endpoint_changes()[:-1]
     return np.asarray(
-        (get_end_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
+        (get_endpoint_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
         / replace_zero_divisors_by_one(amounts)
     )
 

@@ -52,7 +52,7 @@ def check_switching_times(
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
     order = sorted(samples, key=lambda s: s.leg.initial_time)
     shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
-    falls = list(filter(None, (group.find_second_order_decrease() for group in shifted)))
+    falls = list(filter(None, (group.find_second_order_cost_decrease() for group in shifted)))
     place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
     worst, certain = max(falls, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, place), False))
     result = combine_condition_results(len(groups) <= 1 and not falls, certain)

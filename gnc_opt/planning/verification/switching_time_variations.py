@@ -102,7 +102,7 @@ class ShiftedTrajectory:
         """Variations "start", "times" or "parameters": kind, phase, step."""
         return _build_end_and_parameter_variations(self.solution, self.samples, self.scales)
 
-    def find_second_order_decrease(self) -> tuple[Worst, bool] | None:
+    def find_second_order_cost_decrease(self) -> tuple[Worst, bool] | None:
         """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.end_and_parameter_variations)
         small = SLOPE_STEP * np.eye(n + m)

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
     find_simultaneous_switches,
-    split_shared_boundaries,
+    split_simultaneous_switch_times,
 )
 from gnc_opt.planning.transcription.arc_constraints import find_controls_at_junction
 
@@ -78,7 +78,7 @@ def test_instants_are_free_for_what_changes() -> None:
     plan = ArcMesh(
         PhaseStructure((0.0, 0.25, 0.5, 1.0), kinds, (), 2), tuple(SubarcMesh(1, n) for n in (4, 5, 6))
     )
-    split = split_shared_boundaries(plan)
+    split = split_simultaneous_switch_times(plan)
     assert split.structure.kinds == (*kinds[:2], (FREE,) * 3, (FREE,) * 3, kinds[2])
     mesh = split.build_mesh()
     np.testing.assert_allclose(

@@ -241,7 +241,7 @@ def test_touches_stay_with_their_times() -> None:
     two = one.with_touch_point(1, 3.0, UP)
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
     assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_control_kinks(1)
-    assert two.merge_arcs() == two
+    assert two.merge_equal_adjacent_arcs() == two
     assert two.list_touch_times(1, UP) == [1.0, 3.0]
     assert two.list_touch_times(1, LOW) == []
     assert two.with_switch_times((0.0, 1.0, 1.0, 4.0)).without_subarc(1).touches == ((), ((1, UP),), ())

@@ -47,7 +47,7 @@ def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the
     structure = made("iii", "iiu", "iii", n_controls=1, n_paths=1, orders=(0, 0, 3))
     structure = replace(structure, touches=(((2, LOW),), (), ((1, UP),), ((2, UP),)))
     plan = ArcMesh(structure, (SubarcMesh(2), SubarcMesh(3), SubarcMesh(1)))
-    found = plan._find_contact_junctions()
+    found = plan._list_state_constraint_junctions()
     assert found == (
         Junction(1, 2, UP, 3),
         Junction(0, 5, UP, 2),

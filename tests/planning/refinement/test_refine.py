@@ -303,7 +303,7 @@ def candidate(
         ),
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
-    made.get_ranking_errors = lambda tol: Candidate.get_ranking_errors(made, tol)
+    made.get_errors_for_solution_ranking = lambda tol: Candidate.get_errors_for_solution_ranking(made, tol)
     made.has_lower_cost = lambda other, **margin: Candidate.has_lower_cost(made, other, **margin)
     return made
 

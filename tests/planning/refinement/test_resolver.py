@@ -30,7 +30,7 @@ from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownSwitches,
     restore_first_stage_meshes,
 )
-from gnc_opt.planning.solution.phase_solution import truncate_phase_before
+from gnc_opt.planning.solution.phase_solution import truncate_phase_to_start_time
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -114,7 +114,7 @@ def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
 @pytest.mark.parametrize("scheme", ["LG", "LGR"])
 def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
     first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
-    rest = truncate_phase_before(first.phase(), begin)
+    rest = truncate_phase_to_start_time(first.phase(), begin)
     times = np.linspace(begin, 1.0, 57)
     whole = first.phase()
     assert rest.initial_time == begin and rest.final_time == 1.0

@@ -149,7 +149,8 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     multipliers = np.array([-0.02, -0.005, 0.02, 0.005, 0.02, -0.02, 9.0, 0.0, -1e-9, 1e-9, 0.0])
     lower = np.array([0.0] * 6 + [2.0, -INF, 0.0, 0.0, 0.0])
     upper = np.array([1.0] * 6 + [2.0, INF, 1.0, 1.0, 0.5])
-    found = ProgramLimits.from_values(interval(lower, upper), values, multipliers, tuple("abcdefghijk"))
+    box, labels = interval(lower, upper), tuple("abcdefghijk")
+    found = ProgramLimits.determine_active_set(box, values, multipliers, labels)
     below, above, fixed = [0, 8], [2, 9], [6]
     assert np.flatnonzero(found.active).tolist() == sorted(below + above + fixed)
     assert found.at.tolist() == [0, 0, 1, 0, 0, 0, 2, 0, 0, 1, 0] and found.labels == tuple("abcdefghijk")

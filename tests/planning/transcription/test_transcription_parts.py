@@ -308,7 +308,7 @@ def test_bounds_of_all_variables_and_rows() -> None:
     )
     lam = np.arange(float(program.n_constraints))
     assert program.get_duration_multiplier("leg", lam) == ends["duration of phase leg"]
-    assert program.list_fixed_times(problem).tolist() == [0.0, 0.0]
+    assert program.list_fixed_phase_times(problem).tolist() == [0.0, 0.0]
 
 
 def test_a_bound_that_rounding_crosses_is_met() -> None:

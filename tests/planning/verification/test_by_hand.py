@@ -19,7 +19,7 @@ from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.active_state_constraints import (
     PureStateConstraints,
     explain_costate_jumps,
-    integrate_nearby_multipliers,
+    integrate_multipliers_near_boundaries,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
@@ -60,7 +60,7 @@ from gnc_opt.planning.verification.singular_arcs import (
 )
 from gnc_opt.planning.verification.stored_data_check import (
     _compute_relative_difference,
-    get_end_gradients,
+    get_endpoint_gradients,
     has_costates,
     recompute_stored_data,
 )
@@ -107,7 +107,7 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.from_phase(legs, s.functions)]
     condition = feasibility.check_boundary_conditions(
-        solution, samples, get_end_gradients(solution), given_scales(samples), 1e-9
+        solution, samples, get_endpoint_gradients(solution), given_scales(samples), 1e-9
     )
     assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
@@ -273,7 +273,7 @@ def test_induced_problem_in_closed_form() -> None:
         constraint_labels=("both",),
     )
     solution = recompute_stored_data(base)
-    samples, ends = list(solution.samples().values()), get_end_gradients(solution)
+    samples, ends = list(solution.samples().values()), get_endpoint_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     found = SwitchingTimeProblem.from_integrated_controls(
@@ -403,9 +403,9 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
     transcription = transcribe_problem(problem, {"leg": go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 3))}, "LG")
     rows, columns = transcription.constraints.jacobian_pattern
     jacobian = np.zeros((transcription.n_constraints, transcription.n_variables))
-    jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
-        2
-    ]
+    jacobian[rows, columns] = transcription.evaluate_nlp_first_derivatives(
+        problem, np.ones(transcription.n_variables)
+    )[2]
     exact, basis = (
         _mask_adjoint_rows(transcription, breaks),
         _mask_adjoint_multipliers(transcription, breaks),
@@ -486,13 +486,13 @@ def test_what_multipliers_push_beside_a_boundary() -> None:
     """Densities 2 before and 3 after it, over half a hundredth of 2 s; of two signs the larger one."""
     s = arc(plain(np.zeros((2, 2))), degree=4)
     before = np.repeat([True, False], 4)
-    found = integrate_nearby_multipliers(
+    found = integrate_multipliers_near_boundaries(
         s, np.array([np.where(before, 2.0, 3.0), np.where(before, -5.0, 4.0)])
     )
     np.testing.assert_allclose(found, [[0.03], [-0.05]])
     short = arc(plain(np.zeros((2, 2))), degree=4, breaks=(0.0, 0.004, 2.0))
     np.testing.assert_allclose(
-        integrate_nearby_multipliers(short, np.where(before, 5.0, 1.0)[None]), [[0.02]]
+        integrate_multipliers_near_boundaries(short, np.where(before, 5.0, 1.0)[None]), [[0.02]]
     )
 
 
@@ -537,7 +537,7 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
         lambda t, k: np.array([costates + 0 * t, 0 * t]),
         breaks=(0.0, 0.5, 2.0),
     )
-    ends = get_end_gradients(by_hand.solution(problem, base.leg))
+    ends = get_endpoint_gradients(by_hand.solution(problem, base.leg))
     s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told
 

@@ -253,7 +253,8 @@ def test_multiplier_of_the_duration_moves_both_ends_if_its_bound_is_active() -> 
 
 def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPatch) -> None:
     """Impulses 3 and -2 on a state between its bounds; densities of -1 and 0.5 beside make up for a part of them."""
-    monkeypatch.setattr(costates, "integrate_nearby_multipliers", lambda s, density: np.array([[-1.0, 0.5]]))
+    name = "integrate_multipliers_near_boundaries"
+    monkeypatch.setattr(costates, name, lambda s, density: np.array([[-1.0, 0.5]]))
     leg = fake(
         name="leg",
         breaks=np.array([0.0, 1.0, 2.0, 3.0]),
@@ -298,7 +299,7 @@ def test_residual_of_the_adjoint_equation() -> None:
     )
     share, total = costates._evaluate_costate_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
-    name = costates._find_costliest_state_label(
+    name = costates._find_state_of_costliest_gradient(
         fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
     )
     assert name == "q"
@@ -430,8 +431,8 @@ def test_results_that_other_theorems_change() -> None:
         assert change(passed) is passed
     failed = condition("c", FAIL)
     assert optimality_check._pass_condition_by_convexity(failed) is failed
-    assert optimality_check._mark_zero_duration_phase(failed, "leg") is failed
-    marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
+    assert optimality_check._mark_condition_of_zero_duration_phase(failed, "leg") is failed
+    marked = optimality_check._mark_condition_of_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
     assert np.isnan(marked.value)
     assert optimality_check._create_inconclusive_condition("c", "w", "m").tolerance == 0.0
@@ -572,7 +573,7 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     s = fake(
         leg=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
     )
-    s.resample_evenly = resample
+    s.resample_at_even_times = resample
     stored_solution = fake(objective=objective, phases={"leg": kept})
     ends = fake(cost=8.0)
     found = feasibility.check_reported_cost(stored_solution, [s], ends, True, scales(4.0), 1e-5)
@@ -664,7 +665,7 @@ def worst_defect(
             integrate_over_segments=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
             cumulative_integrals=lambda r: np.cumsum(r, axis=-1),
             compute_segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
-            resample_evenly=lambda count: sampled(values if scan is None else scan),
+            resample_at_even_times=lambda count: sampled(values if scan is None else scan),
             **described(),
         )
 

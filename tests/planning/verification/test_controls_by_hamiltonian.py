@@ -315,7 +315,7 @@ def test_a_coast_leaves_no_doubt_of_a_minimum() -> None:
 
 def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     solution = flight(0.0)
-    s, cone = samples(solution), CriticalCone.from_program_point(ProgramPoint.from_solution(solution))
+    s, cone = (samples(solution), CriticalCone.from_program_point(ProgramPoint.from_solution(solution)))
     collocation = cone.point.transcription.parts["leg"].collocation
     magnitude, direction = collocation.point_controls[MAGNITUDE], collocation.point_controls[DIRECTION]
     length = cone.point.x.size + collocation.path_rows[0]

@@ -38,7 +38,7 @@ from gnc_opt.planning.verification.costate_conditions import (
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
 # minimum.
@@ -686,7 +686,7 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     # Of H = lam_0 + lam_1 u the initial value is 3 + 0, which a lower limit of the initial time cannot explain.
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
-    ends = get_end_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.leg))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
@@ -705,7 +705,7 @@ def test_a_multiplier_of_the_duration_needs_an_active_bound(
     """Of the 2 s, over a cost of 4; a positive one needs the upper bound."""
     bounds = by_hand.interval(-np.inf, most)
     s = drift(drifting(), duration_bounds=bounds, duration_multiplier=multiplier)
-    ends = get_end_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.leg))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     assert found.value == pytest.approx(value)
 
@@ -739,7 +739,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = check_transversality([s], get_end_gradients(by_hand.solution(drifting(), s.leg)), scales)
+    condition = check_transversality([s], get_endpoint_gradients(by_hand.solution(drifting(), s.leg)), scales)
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
@@ -749,7 +749,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         if end == "initial":
             along.lower[row], along.upper[row] = given[row], 99.0
         held = PhaseSamples.from_phase(replace(s.leg, state_bounds=along), s.functions)
-        ends = get_end_gradients(by_hand.solution(drifting(), held.leg))
+        ends = get_endpoint_gradients(by_hand.solution(drifting(), held.leg))
         assert check_transversality([held], ends, scales).value == 0.0
 
 
@@ -811,7 +811,8 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     )
     s = PhaseSamples.from_phase(leg, base.functions)
     solution = by_hand.solution(problem, leg)
-    condition = check_complementarity(solution, [s], get_end_gradients(solution), given_scales([s], cost=4.0))
+    ends = get_endpoint_gradients(solution)
+    condition = check_complementarity(solution, [s], ends, given_scales([s], cost=4.0))
     lasts = leg.collocation_rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
     assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
@@ -831,7 +832,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
         )
         rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
         scales = given_scales([s], cost=4.0, constraints=rows)
-        found = check_complementarity(solution, [s], get_end_gradients(solution), scales)
+        found = check_complementarity(solution, [s], get_endpoint_gradients(solution), scales)
         assert found.value == pytest.approx(expected / 4.0, rel=1e-9)
         assert found.where == "multiplier of constraint a"
 
@@ -878,7 +879,7 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
     one = (lambda t, k: np.array([t]),) * 3
     solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
     found = check_parameter_stationarity(
-        solution, [], get_end_gradients(solution), given_scales([], cost=amount, parameters=[1.0])
+        solution, [], get_endpoint_gradients(solution), given_scales([], cost=amount, parameters=[1.0])
     )
     assert found.value == pytest.approx(left) and found.where == "parameter k"
 

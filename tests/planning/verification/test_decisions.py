@@ -99,7 +99,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
         samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
     )
     result("recompute_stored_data", solution)
-    result("get_end_gradients", fake(cost=0.0))
+    result("get_endpoint_gradients", fake(cost=0.0))
     result("choose_cell_edges_at_narrow_features", None)
     result("list_boundary_table_calls", ())
     ends = fake(compute_largest_endpoint_changes=lambda: np.ones(1))
@@ -192,10 +192,8 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
     assert found(curvature(-0.5), admitted=(-1.0,))[0] is FAIL
     several = found(curvature(-0.5), several=True)
     assert several == (INCONCLUSIVE, 0.5, "place: the multipliers are not unique")
-    assert (
-        found(curvature(-0.5), admitted=())[2]
-        == "place: the curvature is negative, but limits may exclude this variation"
-    )
+    text = "place: the curvature is negative, but limits may exclude this variation"
+    assert found(curvature(-0.5), admitted=())[2] == text
     assert found(curvature(-0.5), curvature(-0.25, sign=2.0), admitted=(2.0,))[:2] == (FAIL, 0.25)
     assert found(curvature(-0.5), curvature(0.25, sign=2.0), admitted=(2.0,))[:2] == (INCONCLUSIVE, 0.5)
     assert found(curvature(-0.9e-4))[0] is INCONCLUSIVE

@@ -57,7 +57,7 @@ from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_direction_of_least_curvature
 from gnc_opt.planning.verification.stored_data_check import (
     find_nonfinite_stored_value,
-    get_end_gradients,
+    get_endpoint_gradients,
     has_costates,
     recompute_stored_data,
 )
@@ -316,7 +316,7 @@ def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
 @pytest.mark.parametrize("amount", [0.5, 1.0, 30.0])
 def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: float) -> None:
     solution, samples = energetic(amount)
-    ends = get_end_gradients(solution)
+    ends = get_endpoint_gradients(solution)
     assert ends.cost == pytest.approx(6.0)
     for stored in (5.75, 6.25):
         off = feasibility.check_reported_cost(
@@ -339,7 +339,7 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
     }
     wrong = replace(solution, phases={"leg": replace(leg, **changes[what])})
     found = feasibility.check_reported_cost(
-        wrong, samples, get_end_gradients(solution), told, given_scales(samples, cost=2.0), 1e-6
+        wrong, samples, get_endpoint_gradients(solution), told, given_scales(samples, cost=2.0), 1e-6
     )
     assert found.value == pytest.approx(0.6 if "weight" in what else 0.075, rel=1e-6)
     assert found.where.startswith(f"phase leg, {what} ")
@@ -347,7 +347,7 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
         lost = replace(solution, phases={"leg": replace(leg, integral_weights=np.array([np.nan]))})
         assert (
             feasibility.check_reported_cost(
-                lost, samples, get_end_gradients(solution), False, given_scales(samples), 1e-6
+                lost, samples, get_endpoint_gradients(solution), False, given_scales(samples), 1e-6
             ).value
             < 1e-9
         )
@@ -406,7 +406,7 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
     zero = by_hand.phase(problem, lam=lambda t, k: np.zeros((2, t.size)))
     gone = by_hand.phase(problem, lam=lambda t, k: np.full((2, t.size), np.nan))
     solution = by_hand.solution(problem, zero)
-    ends = get_end_gradients(solution)
+    ends = get_endpoint_gradients(solution)
     samples = {
         name: PhaseSamples.from_phase(leg, by_hand.functions(problem))
         for name, leg in (("z", zero), ("g", gone))

@@ -77,7 +77,7 @@ def test_variations_are_shares_of_the_metric() -> None:
     np.testing.assert_allclose(variation, [0, 2, 30, 0, 500])
     hessian = symmetric(5)
     expected = hessian[np.ix_(free, free)] * np.outer(root, root)
-    np.testing.assert_allclose(space.project_hessian(sparse(hessian)).toarray(), expected)
+    np.testing.assert_allclose(space.project_hessian_to_null_space(sparse(hessian)).toarray(), expected)
 
 
 def test_curvature_and_its_share_of_its_terms() -> None:
@@ -144,13 +144,14 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
     box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
     values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
-    limits = _ActiveSet.from_values(box, values, 1e-5 * scales)
+    limits = _ActiveSet.determine_active_set(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
     np.testing.assert_array_equal(limits.is_at_any_limit, [True, True, False, True, False])
-    np.testing.assert_array_equal(limits.has_wrong_sign(np.ones(5), 1.0), [True, False, False, False, False])
-    np.testing.assert_array_equal(limits.has_wrong_sign(-np.ones(5), 1.0), [False, True, False, False, False])
-    assert not np.any(limits.has_wrong_sign(np.ones(5), 1e8))
+    mask = limits.mask_wrong_multiplier_signs
+    np.testing.assert_array_equal(mask(np.ones(5), 1.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(mask(-np.ones(5), 1.0), [False, True, False, False, False])
+    assert not np.any(mask(np.ones(5), 1e8))
 
 
 def none_at(n: int, lower: bool = False, upper: bool = False) -> _ActiveSet:

@@ -95,7 +95,7 @@ def test_value_slope_and_curvature_by_shares_of_the_range() -> None:
     np.testing.assert_allclose(
         found.evaluate_hamiltonian(shares, at), hamiltonian(u, w, s.times[at]), rtol=1e-12
     )
-    gradient, bends = found.evaluate_gradient_and_hessian(shares, at)
+    gradient, bends = found.evaluate_hamiltonian_derivatives(shares, at)
     np.testing.assert_allclose(
         gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9
     )
@@ -110,7 +110,7 @@ def test_a_group_leaves_the_other_controls_as_flown() -> None:
         found.evaluate_hamiltonian(np.array([[0.0, 1.0]]), at),
         hamiltonian(0.5, np.array([-1.0, 3.0]), s.times[at]),
     )
-    gradient, bends = found.evaluate_gradient_and_hessian(np.array([[0.0, 1.0]]), at)
+    gradient, bends = found.evaluate_hamiltonian_derivatives(np.array([[0.0, 1.0]]), at)
     np.testing.assert_allclose(gradient, 4 * (2 * (np.array([[-1.0, 3.0]]) - 2) + 0.5 - 0.2))
     np.testing.assert_allclose(bends, [[[32.0]], [[32.0]]])
 
@@ -196,7 +196,7 @@ def test_multipliers_of_paths_that_h_pushes_against(u: float, w: float, active: 
     s = flown(steep, u, w)
     found, at = search(s), np.array([6])
     shares = np.array([[(u + 2) / 4], [(w + 1) / 4]])
-    gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
+    gradient, _ = found.evaluate_hamiltonian_derivatives(shares, at)
     rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     if not active:
         assert not np.any(rows) and not np.any(mu)
@@ -212,7 +212,7 @@ def test_multipliers_at_the_lower_limit_push_downwards() -> None:
     s = flown(coupled(lambda t, x, u, w: u + 2 * w - 0.3 * u + 0.2 * w + 1e-3 * u * w, MIXED), -1.0, -1.0)
     found, at = search(s), np.array([6])
     shares = np.array([[0.25], [0.0]])
-    gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
+    gradient, _ = found.evaluate_hamiltonian_derivatives(shares, at)
     rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(-1.0, abs=5e-3)
@@ -226,7 +226,7 @@ def test_inactive_paths_have_no_share_in_the_multipliers_of_active_ones() -> Non
         (lambda t, x, u, w: u + w, -99.0, 99.0),
     )
     found, at, shares = search(flown(slope, 1.0, 1.0)), np.array([6]), np.array([[0.75], [0.5]])
-    gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
+    gradient, _ = found.evaluate_hamiltonian_derivatives(shares, at)
     rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 0.0], [0.0, 0.0]]])
     np.testing.assert_allclose(mu, [[0.1], [0.0]], atol=1e-5)
@@ -391,7 +391,7 @@ def test_slopes_that_are_no_numbers_point_nowhere() -> None:
     )
     s = flown(root, -0.5, 0.25)
     found, at = search(s), np.array([3])
-    gradient, bends = found.evaluate_gradient_and_hessian(np.array([[0.0], [0.5]]), at)
+    gradient, bends = found.evaluate_hamiltonian_derivatives(np.array([[0.0], [0.5]]), at)
     assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
     assert found.evaluate_hamiltonian(np.array([[0.5], [0.1]]), at) == [np.inf]
     shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
@@ -406,7 +406,7 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     slope = np.array([0.0, -8.0])
     monkeypatch.setattr(
         _MinimumSearch,
-        "evaluate_gradient_and_hessian",
+        "evaluate_hamiltonian_derivatives",
         lambda self, shares, at, mu=None: (slope[:, None], curved[None]),
     )
     found, at = search(flown(coupled(bowl))), np.array([2])

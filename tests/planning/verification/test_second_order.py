@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -71,7 +71,7 @@ def induced_problem(solution: go.Solution, refinement: int = 4) -> SwitchingTime
     pieces = {name: switches[name].build_piecewise_control(next(switches[name].list_switch_sequences()))}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     return SwitchingTimeProblem.from_integrated_controls(
-        solution, samples, get_end_gradients(solution), unknowns, pieces, refinement
+        solution, samples, get_endpoint_gradients(solution), unknowns, pieces, refinement
     )
 
 

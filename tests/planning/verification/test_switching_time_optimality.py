@@ -119,7 +119,7 @@ def test_lagrangian_of_shifted_switches_before_a_touch(
     The path q^2 / 4 <= 1 has the same slope at the touch, and its curvature adds a quarter of the peak's square.
     """
     found: list[ShiftedTrajectory] = []
-    monkeypatch.setattr(ShiftedTrajectory, "find_second_order_decrease", lambda own: found.append(own))
+    monkeypatch.setattr(ShiftedTrajectory, "find_second_order_cost_decrease", lambda own: found.append(own))
     coupled_touch(5.0, as_path)
     amounts = 0.02 * np.array([[1.0, 0.0, 0.5, -1.0], [0.0, 1.0, -1.0, 0.5]])
     d, e = 0.02 * amounts * [[1.0], [2.0]]
@@ -340,7 +340,7 @@ def test_steps_are_small_where_ends_move_far() -> None:
     scales: Any = SimpleNamespace(cost=1.0)
     jumps = [Jump("leg", 1.0, channel, -1.0, 1.0, 1.0) for channel in (0, 1)]
     ends: Any = None
-    found = ClosedForm(solution, [], ends, scales, jumps).find_second_order_decrease()
+    found = ClosedForm(solution, [], ends, scales, jumps).find_second_order_cost_decrease()
     assert found is not None and found[0].value == pytest.approx((0.1 / 8) ** 2, rel=0.01)
 
 

@@ -36,10 +36,8 @@ def test_without_costates_neither_holds() -> None:
 
 def test_headlines_say_which_of_the_three_it_is() -> None:
     assert verdict(PASS, PASS).headline == "every condition passes: a strict local minimum"
-    assert (
-        verdict(PASS, UNTOLD).headline
-        == "ok: the necessary conditions hold, the sufficient ones are not confirmed"
-    )
+    found = verdict(PASS, UNTOLD).headline
+    assert found == "ok: the necessary conditions hold, the sufficient ones are not confirmed"
     assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
     assert verdict(UNTOLD, PASS).headline == "inconclusive: stationarity"
     assert verdict(PASS, FAIL).headline == "NOT ok: second order fails"

@@ -134,7 +134,7 @@ def guess_from_simulation(
         np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1]))
     )
     try:
-        simulated = _integrate_guess(evaluate_rates, start, (t0, tf), sizes, selected, stop)
+        simulated = _integrate_guess_dynamics(evaluate_rates, start, (t0, tf), sizes, selected, stop)
     except OdeError as error:
         raise ProblemError(
             f"the simulation of {selected.label} by guess_from_simulation() failed ({error}): change the law"
@@ -156,7 +156,7 @@ def guess_from_simulation(
     return problem.with_guess(selected.name, times, **values)
 
 
-def _integrate_guess(
+def _integrate_guess_dynamics(
     rate: Rate,
     start: Array,
     times: tuple[float, float],

@@ -55,7 +55,7 @@ class ControlKink:
     corner: float
 
     @classmethod
-    def from_extremum(
+    def find_control_kink_of_extremum(
         cls, kink: Extremum, controls: Mapping[int, Any], domain: SymbolRanges
     ) -> ControlKink | None:
         """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
@@ -138,7 +138,7 @@ class ControlKinks:
         controls = {i: symbols[i] for i in index_control_symbols(phase).values()}
         bends = dict[str, list[ControlKink]]()
         for name, kinks in find_integrand_kinks(problem, phase, domain).items():
-            found = (ControlKink.from_extremum(kink, controls, domain) for kink in kinks)
+            found = (ControlKink.find_control_kink_of_extremum(kink, controls, domain) for kink in kinks)
             bends[name] = [bend for bend in found if bend is not None]
         corners: dict[int, float] = {}
         for v in layout.variables:
@@ -156,7 +156,7 @@ class ControlKinks:
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
-        form = problem.memoize(("split", *key), lambda: SplitControls.from_control_kinks(phase, self))
+        form = problem.memoize(("split", *key), lambda: SplitControls.split_controls_at_kinks(phase, self))
         form.reformulate_phase(phase)
 
 
@@ -167,7 +167,7 @@ class SplitControls(ReformulatedPhase):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def from_control_kinks(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
+    def split_controls_at_kinks(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
         """Return the form of a phase in the parts of the split controls."""
         old, layout = phase.model, phase.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()
@@ -201,7 +201,7 @@ class SplitControls(ReformulatedPhase):
         model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_split_controls)
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
-        texts = tuple(_describe_control_split(c) for c, _ in splits)
+        texts = tuple(_describe_control_replacement(c) for c, _ in splits)
         return cls(
             model,
             paths,
@@ -226,7 +226,7 @@ class SplitControls(ReformulatedPhase):
         self.replace_phase_functions(phase, replace(old, controls=controls, scales=scales))
 
 
-def _describe_control_split(control: SplitControl) -> str:
+def _describe_control_replacement(control: SplitControl) -> str:
     plus, minus = control.parts
     corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
     return f"{control.name} is replaced by {corner}{plus} - {minus}, split at the kinks of its cost"

@@ -94,7 +94,7 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
 
 def find_minimised_or_maximised_integrals(problem: ProblemData, phase: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
-    domain = SymbolRanges.from_boundary_variables(problem)
+    domain = SymbolRanges.collect_boundary_variable_ranges(problem)
     terms = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
     ends = problem.substitute_parameters(phase, terms)
     box = problem.get_boundary_constraint_bounds()

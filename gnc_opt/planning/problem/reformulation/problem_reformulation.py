@@ -69,7 +69,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
 
 def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
-    domain = SymbolRanges.from_boundary_variables(problem)
+    domain = SymbolRanges.collect_boundary_variable_ranges(problem)
     form = problem.memoize(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
     if form.texts:
         form.reformulate_endpoint_functions(twin)

@@ -68,7 +68,7 @@ def find_vector_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubst
     if names is not None:
         return NormSubstitution.from_phase(phase, names)
     unit = next(_find_unit_vectors(phase), None)
-    return None if unit is None else UnitVectorSubstitution.from_unit_vector(phase, *unit)
+    return None if unit is None else UnitVectorSubstitution.replace_unit_vector_and_magnitude(phase, *unit)
 
 
 def index_control_symbols(phase: Phase) -> dict[int, int]:
@@ -196,7 +196,7 @@ class NormSubstitution(ReformulatedPhase):
         old, vector = phase.model, ca.vertcat(*map(phase.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
         norms = NormNodes.find_vector_norms(ca.vertcat(stack_phase_expressions(phase), *outputs), vector)
-        found = _NormLimits.from_constraints(phase, names, norms)
+        found = _NormLimits.collect_norm_limits(phase, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
             magnitude = old.symbol(found.control)
@@ -322,7 +322,7 @@ class _NormLimits:
     control: str | None
 
     @classmethod
-    def from_constraints(cls, phase: Phase, names: Names, norms: NormNodes) -> _NormLimits:
+    def collect_norm_limits(cls, phase: Phase, names: Names, norms: NormNodes) -> _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
         for label, row, limits in _list_scalar_path_constraints(phase):
@@ -404,7 +404,9 @@ class UnitVectorSubstitution(ReformulatedPhase):
     control: VectorControl
 
     @classmethod
-    def from_unit_vector(cls, phase: Phase, name: str, magnitude: str, label: str) -> UnitVectorSubstitution:
+    def replace_unit_vector_and_magnitude(
+        cls, phase: Phase, name: str, magnitude: str, label: str
+    ) -> UnitVectorSubstitution:
         """Return the form of a phase for a unit vector, its magnitude, and the path constraint on its length."""
         old, vector = phase.model, ca.SX(phase.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]

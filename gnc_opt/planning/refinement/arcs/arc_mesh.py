@@ -224,12 +224,12 @@ class ArcMesh:
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
             junctions=(
-                *self._find_contact_junctions(),
+                *self._list_state_constraint_junctions(),
                 *self._list_junctions_at_segment_ends(problem, phase),
             ),
         )
 
-    def _find_contact_junctions(self) -> tuple[Junction, ...]:
+    def _list_state_constraint_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.
 
         Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.

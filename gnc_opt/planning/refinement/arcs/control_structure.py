@@ -272,7 +272,7 @@ class PhaseStructure:
             times=(*self.times[:subarc], middle, *self.times[subarc + 2 :]),
             kinds=(*self.kinds[:subarc], *self.kinds[subarc + 1 :]),
             touches=(*self.touches[:subarc], joined, *self.touches[subarc + 2 :]),
-        ).merge_arcs()
+        ).merge_equal_adjacent_arcs()
 
     def replace_subarc_by_touch(self, subarc: int) -> PhaseStructure:
         """Return the structure without a subarc; arcs on limits of second order, or paths at an end, become touches."""
@@ -298,14 +298,14 @@ class PhaseStructure:
         columns = np.array(kinds, dtype=object)
         columns[inside, row] = kind
         changed = tuple(map(tuple, columns))
-        return replace(self, times=times, kinds=changed, touches=tuple(touches)).merge_arcs()
+        return replace(self, times=times, kinds=changed, touches=tuple(touches)).merge_equal_adjacent_arcs()
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         time = self._snap_time_to_boundary(time)
         times, kinds, touches = self._insert_subarc_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
-        return replace(self, times=times, kinds=kinds, touches=tuple(touches)).merge_arcs()
+        return replace(self, times=times, kinds=kinds, touches=tuple(touches)).merge_equal_adjacent_arcs()
 
     def _snap_time_to_boundary(self, time: float) -> float:
         """Return the boundary at a time, if its distance is a rounding error, else the time."""
@@ -356,7 +356,7 @@ class PhaseStructure:
         kinds = tuple(self._read_arc_kinds_at_time(t, listed) for t in middles)
         at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
         touches = tuple(tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times)
-        return replace(self, times=times, kinds=kinds, touches=touches).merge_arcs()
+        return replace(self, times=times, kinds=kinds, touches=touches).merge_equal_adjacent_arcs()
 
     def _read_arc_kinds_at_time(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
         """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
@@ -365,7 +365,7 @@ class PhaseStructure:
         kinds = (here.get(i, ArcKind.INTERIOR) for i in range(len(determined)))
         return tuple(determined[i] if k is ArcKind.CONSTRAINED else k for i, k in enumerate(kinds))
 
-    def merge_arcs(self) -> PhaseStructure:
+    def merge_equal_adjacent_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent subarcs joined."""
         kinds, touches = self.kinds, self.touches
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]

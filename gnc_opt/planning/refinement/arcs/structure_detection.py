@@ -93,7 +93,7 @@ def detect_phase_structure(
         phase.controls.size,
         len(phase.path_labels),
         effects=(*((),) * phase.controls.size, *effects, *((),) * phase.states.size),
-    ).merge_arcs()
+    ).merge_equal_adjacent_arcs()
 
 
 def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:

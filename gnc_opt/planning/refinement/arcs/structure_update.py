@@ -32,11 +32,7 @@ from gnc_opt.planning.optimality.active_state_constraints import StateConstraint
 from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
-from gnc_opt.planning.refinement.arcs.control_structure import (
-    KindArray,
-    PhaseStructure,
-    select_arc_kind,
-)
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_arc_kind
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     find_linear_path_constraints,
     mask_affine_controls,
@@ -67,7 +63,7 @@ def correct_arc_structure(
     for correct in (
         _remove_zero_length_subarc,
         add_missing_constraint_contact,
-        _add_saturated_arc,
+        _insert_saturated_control_arc,
         replace_saturated_arc_controls,
     ):
         for name, c in constraints.items():
@@ -179,7 +175,9 @@ def _compute_sign_and_bound_violations(
     return violation, select_arc_kind(checked, other, crossed)
 
 
-def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _insert_saturated_control_arc(
+    constraints: StateConstraints, plan: ArcMesh
+) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
     A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
@@ -287,16 +285,16 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
         side: Side = "left" if subarc < boundary else "right"
         times = here[::-1] if subarc < boundary else here
 
-        def evaluate_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
+        def evaluate_limit_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
             excess, slopes = _evaluate_limit_excess_and_multiplier(samples, direction, side, t)
             return direction * (excess if subarc == interior else slopes)
 
-        over = evaluate_violation(times)[row] > 0
+        over = evaluate_limit_violation(times)[row] > 0
         if np.all(over):
             return float(times[-1])
         if over[0]:
             k, rows = int(np.argmin(over)), np.array([row])
-            at = find_sign_change_times(evaluate_violation, rows, times[k - 1 : k], times[k : k + 1])
+            at = find_sign_change_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
             return float(at[0])
     return plan.structure.times[boundary]
 

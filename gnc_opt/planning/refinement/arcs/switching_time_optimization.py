@@ -110,11 +110,11 @@ def optimise_switching_times(
         return solution, history
     solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
-        solution = _determine_unique_costates(solution, plans, chosen, within)
+        solution = _solve_costates_at_simultaneous_switches(solution, plans, chosen, within)
     return replace(solution, structure=_list_arcs_of_all_phases(solution, plans)), history
 
 
-def _determine_unique_costates(
+def _solve_costates_at_simultaneous_switches(
     solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
@@ -286,7 +286,7 @@ def solve_with_split_switches(
     """Return a solution with the multipliers of the program with split switches; None if that has no solution."""
     freed, meshes = solution.need_problem("refine"), {}
     for name, plan in plans.items():
-        split = split_shared_boundaries(plan)
+        split = split_simultaneous_switch_times(plan)
         freed, mesh = split.fix_arcs_in_problem(freed, name), split.build_mesh()
         lengths = np.diff(mesh.breaks)  # the ends of the intervals are fixed
         movable = tuple(k for k in mesh.movable if min(lengths[k - 1 : k + 1]) > 2 * FREE_SPAN)
@@ -316,7 +316,7 @@ def _replace_multipliers_by_other_solution(
     )
 
 
-def split_shared_boundaries(plan: ArcMesh) -> ArcMesh:
+def split_simultaneous_switch_times(plan: ArcMesh) -> ArcMesh:
     """Return the plan with intervals before and after shared boundaries in which the changing rows are interior."""
     s = plan.structure
     shared, span = find_simultaneous_switches(s), FREE_SPAN * (s.times[-1] - s.times[0])

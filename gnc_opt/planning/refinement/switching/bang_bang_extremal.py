@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients
+from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def compute_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent."""
-    ends = _EndConditions.from_integrated_switches(problem, s, switches, steps)
+    ends = _EndConditions.integrate_to_end_conditions(problem, s, switches, steps)
     flow, size, free = ends.flow, ends.size, ends.free
     if not np.isfinite(flow.final_state_sensitivity).all():
         return None
@@ -106,7 +106,7 @@ def compute_simplified_newton_step(
 
     ``steps`` is the number of grid steps, ``refinement`` the number of parts into which each is divided.
     """
-    ends = _EndConditions.from_integrated_switches(problem, s, switches, steps, refinement)
+    ends = _EndConditions.integrate_to_end_conditions(problem, s, switches, steps, refinement)
     if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
@@ -142,7 +142,7 @@ class _EndConditions:
         self.misses = np.append(missed, found[:-1] - limits.lower)
 
     @classmethod
-    def from_integrated_switches(
+    def integrate_to_end_conditions(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
     ) -> _EndConditions:
         piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
@@ -227,7 +227,7 @@ class SwitchedFlow:
         return self.step.gain < accuracy and self.find_missing_bang_arc is None
 
     @property
-    def grid_times(self) -> Array:
+    def integration_grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
         phase = self.s.leg
         return np.asarray(self.step.flow.states[phase.states.size + phase.integrals.size])
@@ -235,7 +235,7 @@ class SwitchedFlow:
     @property
     def step_times(self) -> Array:
         """Ends of the integration steps (s) with which the trajectory is accurate."""
-        return self.grid_times[::STEP_PARTS]
+        return self.integration_grid_times[::STEP_PARTS]
 
     @property
     def states(self) -> Array:
@@ -249,7 +249,7 @@ class SwitchedFlow:
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory as a solution with Hermite interpolants and one point per integration step."""
-        s, grid = self.s, self.grid_times
+        s, grid = self.s, self.integration_grid_times
         first = STEP_PARTS * np.flatnonzero(np.diff(self.step_times) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
         breaks, controls = np.append(grid[first], grid[-1]), self.step.flow.controls[:, first]
@@ -273,7 +273,7 @@ class SwitchedFlow:
     @cached_property
     def find_missing_bang_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
-        s, times = self.s, self.grid_times
+        s, times = self.s, self.integration_grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
         values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
@@ -321,7 +321,9 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     upper = kinds == ArcKind.UPPER
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
-    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
+    parts = max(
+        1, round(np.max(np.diff(times)) / np.max(np.diff(flight.integration_grid_times)))
+    )  # as fine as known
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     conditions = _EndConditions(problem, s, flow)
     hamiltonian_gap = conditions.compute_lagrangian_derivatives(flight.step.multipliers)[0]
@@ -397,7 +399,7 @@ def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> boo
 def compute_cost_and_multipliers(trajectory: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (phase,) = trajectory.phases.values()
-    ends, functions = get_end_gradients(trajectory), trajectory.phase_functions(phase.name)
+    ends, functions = get_endpoint_gradients(trajectory), trajectory.phase_functions(phase.name)
     at, lam = phase.breaks[[0, -1]], np.stack([phase.lam_start[:, 0], phase.lam_end[:, -1]], axis=1)
     x = np.stack([phase.x(at[0]), phase.x(at[1], "left")], axis=1)
     u = np.stack([phase.applied(at[0]), phase.applied(at[1], "left")], axis=1)

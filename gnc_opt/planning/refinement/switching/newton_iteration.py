@@ -212,7 +212,7 @@ def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switche
     kept = np.diff(piecewise.times) > 0
     times = tuple(map(float, piecewise.times[np.append(kept, True)]))
     columns = tuple(map(tuple, np.vstack([kinds, others]).T[kept]))
-    return replace(old, times=times, kinds=columns, touches=()).merge_arcs()
+    return replace(old, times=times, kinds=columns, touches=()).merge_equal_adjacent_arcs()
 
 
 def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
