@@ -98,10 +98,8 @@ class StateConstraints:
 
         They are sorted by their smallest effect on the first derivative with controls.
         """
-        found = {
-            c: self._differentiate_constraint_by_control(row, c)
-            for c in self.get_constraint_order(row).controls
-        }
+        controls = self.get_constraint_order(row).controls
+        found = {c: self._differentiate_constraint_by_control(row, c) for c in controls}
         order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
         signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
         return tuple((c, signs[c]) for c in order)

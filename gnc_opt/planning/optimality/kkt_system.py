@@ -312,9 +312,6 @@ class NullSpace:
         """Return a Hessian in all scaled variables as a Hessian in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
-    def expand_null_space_variation(self, variation: Array) -> Array:
-        return np.asarray(self.unit @ variation)
-
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]

@@ -61,9 +61,9 @@ def _find_costate_jump_candidates(
     nowhere = np.zeros(0, dtype=bool)
     found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
     for name, part in transcription.parts.items():
-        phase, functions, fit = (
-            problem.phases[name],
+        functions, phase, fit = (
             bind_free_parameter_values(problem, name, q),
+            problem.phases[name],
             fitted[name],
         )
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
@@ -278,12 +278,10 @@ def _fit_multipliers(
         unknowns = form.solve_least_squares(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]
-        own, largest = (
-            -form.compute_dual_residuals(unknowns, gradient.size),
-            np.max(np.abs(found), initial=TINY),
-        )
-        pulling = limits.mask_wrong_multiplier_signs(own, size) & ~imposed
-        wrong = row_limits.mask_wrong_multiplier_signs(found, float(largest)) & pushing & ~basis
+        residuals = form.compute_dual_residuals(unknowns, gradient.size)
+        pulling = limits.mask_wrong_multiplier_signs(-residuals, size) & ~imposed
+        largest = float(np.max(np.abs(found), initial=TINY))
+        wrong = row_limits.mask_wrong_multiplier_signs(found, largest) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):

@@ -160,7 +160,7 @@ class Scales:
             deviations = resolved
             reach = compute_reachable_sets({})
         cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(_compute_end_time_shift_cost(s, ends.compute_cost_rate_of_time_shift(s)) for s in samples)
+        cost += sum(_compute_end_time_shift_cost(s, ends) for s in samples)
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -259,10 +259,8 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    coarse, fine = (
-        set_nonfinite_to_zero(compute_hamiltonian_integral_differences(s, moves, step, ROUGH_SAMPLES)[1])
-        for step in steps
-    )
+    found = (compute_hamiltonian_integral_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
+    coarse, fine = map(set_nonfinite_to_zero, found)
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
@@ -281,11 +279,12 @@ def compute_hamiltonian_integral_differences(
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
 
-def _compute_end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
+def _compute_end_time_shift_cost(s: PhaseSamples, ends: EndPoints) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-    return float(rate) + s.span * slope
+    slopes = ends.gradients.initial_time[s.leg.name], ends.gradients.final_time[s.leg.name]
+    return float(rate) + s.span * float(sum(map(abs, slopes)))
 
 
 # --- parameters -------------------------------------------------------------------------------------------
@@ -391,11 +390,6 @@ class EndPoints:
         values = np.append(self.gradients.constraints, self.gradients.cost)
         return np.asarray(np.fmax(changes, SPAN_MIN_SHARE * np.abs(values)))
 
-    def compute_cost_rate_of_time_shift(self, s: PhaseSamples) -> float:
-        """Return the cost per second of a time shift of the ends of a phase."""
-        name = s.leg.name
-        return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))
-
     def compute_end_cost_curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
         """Return the largest half second difference of the end cost over the reach of the ends.
 
@@ -487,9 +481,8 @@ class EndPoints:
     def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
         here, n = np.concatenate(self.values)[:, None], moves.shape[1]
-        rows = np.split(
-            np.hstack([here, here + moves, here - moves]), np.cumsum([v.size for v in self.values])[:-1]
-        )
+        places = np.cumsum([v.size for v in self.values])[:-1]
+        rows = np.split(np.hstack([here, here + moves, here - moves]), places)
         nu = np.zeros(self.solution.constraint_multipliers.size)
         with np.errstate(all="ignore"):
             function = get_endpoint_value_function(self.solution.need_problem("verify"))

@@ -287,7 +287,8 @@ class SwitchingTimeProblem:
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
         derivatives = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
-        both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
+        sizes = [(flows[s.leg.name], _count_augmented_states(s)) for s in samples]
+        both = [values[:size] for flow, size in sizes for values in (flow.initial, flow.final_state)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
         def evaluate_endpoint_derivatives(nu: Array) -> tuple[Array, ...]:
@@ -350,12 +351,6 @@ def _choose_integration_grid(
 
 def _count_augmented_states(s: PhaseSamples) -> int:
     return s.leg.states.size + s.leg.integrals.size + 1
-
-
-def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
-    """Return states, integrals and time at the start and at the end of a flow."""
-    flow = flows[s.leg.name]
-    return flow.initial[: _count_augmented_states(s)], flow.final_state[: _count_augmented_states(s)]
 
 
 def _differentiate_boundary_states(

@@ -124,11 +124,8 @@ class Candidate:
             return math.inf, self.largest_local_error
         found, estimate = self.solution.objective_error, self.objective_error
         if estimate > tol * found.scale and self.integrated_hamiltonian_excess < found.suboptimality:
-            estimate = (
-                found.infeasibility
-                + self.integrated_hamiltonian_excess
-                + self.largest_local_error**2 * found.scale
-            )
+            by_local_errors = self.largest_local_error**2 * found.scale
+            estimate = found.infeasibility + self.integrated_hamiltonian_excess + by_local_errors
         return max(estimate / found.scale, tol), self.largest_local_error
 
     def has_lower_cost_on_same_mesh(self, other: Candidate) -> bool:
@@ -161,10 +158,8 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     among = [k for k in solved if candidates[k].is_verdict_ok] or solved
     best = min(among, key=lambda k: candidates[k].get_errors_for_solution_ranking(tol))
     for k in solved:
-        credible = candidates[k].largest_local_error <= max(
-            LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error
-        )
-        if credible and candidates[k].has_lower_cost(candidates[best]):
+        most = max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error)
+        if candidates[k].largest_local_error <= most and candidates[k].has_lower_cost(candidates[best]):
             best = k
     return best
 

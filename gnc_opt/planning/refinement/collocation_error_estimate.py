@@ -67,23 +67,19 @@ class PhaseError:
         box = phase.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
         paths = evaluate_function_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
-        path_scale = replace_tiny_divisors_by_one(
-            np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
-        )
+        largest = np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
+        path_scale = replace_tiny_divisors_by_one(largest)
         span = phase.duration
-        states = s.compute_segment_maxima(
-            _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
-        )
+        overshoot = _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
+        states = s.compute_segment_maxima(overshoot)
         excess = phase.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
-        controls = np.maximum(
-            s.integrate_over_segments(excess) / span, SMALL * s.compute_segment_maxima(excess)
-        )
+        mean, peak = s.integrate_over_segments(excess) / span, s.compute_segment_maxima(excess)
+        controls = np.maximum(mean, SMALL * peak)
         mean = s.integrate_over_segments(box.compute_bound_violation(paths) / path_scale[:, None]) / span
         peak = s.compute_segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
         mean[s.pure_state_constraints] = peak[s.pure_state_constraints]
-        costates = (
-            COSTATE_ERROR_WEIGHT * s.integrate_over_segments(compute_costate_residual(s, path_scale))
-        ) ** 2
+        residual = s.integrate_over_segments(compute_costate_residual(s, path_scale))
+        costates = (COSTATE_ERROR_WEIGHT * residual) ** 2
         overshoot = np.concatenate([states, controls, mean])
         errors = compute_segment_defects(s), gaps / integral_scale[:, None], overshoot, costates
         return cls(s, *errors, integral_scale, path_scale)

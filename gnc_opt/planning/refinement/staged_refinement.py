@@ -214,9 +214,8 @@ class StagedRefinement:
         simulated = with_simulated_guess(self.problem)
         if simulated is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve_candidate_on_mesh(
-                f"{MIDDLE}, integrated guess", meshes, None, simulated, most
-            )
+            stage = f"{MIDDLE}, integrated guess"
+            second = self._solve_candidate_on_mesh(stage, meshes, None, simulated, most)
             yield second
             if second.is_solved and (not found.is_solved or second.has_lower_cost_on_same_mesh(found)):
                 found = second

@@ -74,10 +74,8 @@ def _find_violated_constraint_rows(
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
     boxes = (scaled_rows, result.g), (scaled_box, result.x)
     amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in boxes])
-    labels = (
-        *transcription.constraint_row_labels,
-        *(f"bound of {label}" for label in transcription.variable_labels),
-    )
+    bounds = [f"bound of {label}" for label in transcription.variable_labels]
+    labels = (*transcription.constraint_row_labels, *bounds)
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 

@@ -222,9 +222,8 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     if hidden.size:
         beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
         left, right = (samples.times[neighbours] for neighbours in beside)
-        peaks, heights = _locate_limit_violation_peaks(
-            samples, limits.select_limits(k[hidden]), signal, left, right
-        )
+        chosen = limits.select_limits(k[hidden])
+        peaks, heights = _locate_limit_violation_peaks(samples, chosen, signal, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]

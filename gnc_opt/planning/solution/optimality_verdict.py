@@ -272,9 +272,8 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_html_table(
-            titles, rows
-        )
+        heading = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}")
+        shown = heading + format_html_table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
         return shown if passed else shown + format_html_preformatted(self.explain())
 

@@ -369,13 +369,10 @@ class PhaseSamples:
     def path_constraint_variations(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
-        by_state, by_control = (
-            self.functions.path_state_jacobian(*at),
-            self.functions.path_control_jacobian(*at),
-        )
+        by_state = np.abs(self.functions.path_state_jacobian(*at))
+        by_control = np.abs(self.functions.path_control_jacobian(*at))
         pairs = (by_state, self.state_scale), (by_control, self.control_scale)
-        changes = (np.einsum("ijt,j->it", np.abs(jacobian), scale) for jacobian, scale in pairs)
-        return np.asarray(np.max(sum(changes), axis=1))
+        return np.asarray(np.max(sum(np.einsum("ijt,j->it", *pair) for pair in pairs), axis=1))
 
     @cached_property
     def path_scale(self) -> Array:

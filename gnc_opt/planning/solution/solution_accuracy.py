@@ -74,11 +74,8 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
     for s in samples:
         scale = max(scale, NEGLIGIBLE * s.cost_scale)
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
-            defects, violations = (
-                _compute_cost_of_segment_defects(s),
-                _compute_cost_of_constraint_violations(s),
-            )
-            infeasibility += np.sum(np.abs(defects) + violations)
+            defects = np.abs(_compute_cost_of_segment_defects(s))
+            infeasibility += np.sum(defects + _compute_cost_of_constraint_violations(s))
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
     return ObjectiveError(float(found[0]), float(found[1]), scale)
@@ -151,9 +148,8 @@ def _maximise_bounded_quadratic(slope: Array, curvature: Array, lower: Array, up
 
     newton = np.divide(-slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
     inside = np.where(curvature > 0, compute_quadratic_decrease(np.clip(newton, lower, upper)), -np.inf)
-    return np.asarray(
-        np.maximum(inside, np.maximum(compute_quadratic_decrease(lower), compute_quadratic_decrease(upper)))
-    )
+    ends = np.maximum(compute_quadratic_decrease(lower), compute_quadratic_decrease(upper))
+    return np.asarray(np.maximum(inside, ends))
 
 
 POINTS_PER_PIECE = 12

@@ -125,9 +125,8 @@ def compute_control_scales(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = take_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
-    return _replace_zero_scales_by_fallbacks(
-        np.where(spans > ROUNDING, spans, extent), replace_tiny_divisors_by_one(size)
-    )
+    spans = np.where(spans > ROUNDING, spans, extent)
+    return _replace_zero_scales_by_fallbacks(spans, replace_tiny_divisors_by_one(size))
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:

@@ -281,7 +281,7 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = compute_curvature_along_direction(hessian, direction)
-    whole = space.expand_null_space_variation(direction)
+    whole = np.asarray(space.unit @ direction)
     # Variations by integrals may have high peaks; these count only if nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
     largest = float(np.max(peaks[single], initial=0.0))

@@ -73,7 +73,7 @@ def test_variations_are_shares_of_the_metric() -> None:
     """Variables 1, 2 and 4 of 5 vary."""
     root, free = np.array([2.0, 3.0, 5.0]), np.array([1, 2, 4])
     space = space_of(np.ones((1, 3)), root, free, 5)
-    variation = space.expand_null_space_variation(np.array([1.0, 10.0, 100.0]))
+    variation = space.unit @ np.array([1.0, 10.0, 100.0])
     np.testing.assert_allclose(variation, [0, 2, 30, 0, 500])
     hessian = symmetric(5)
     expected = hessian[np.ix_(free, free)] * np.outer(root, root)

@@ -162,22 +162,18 @@ def _split_kinks_into_smooth_expressions(expression: Any, sense: int, domain: Sy
     """
     nodes = find_outermost_kinks(expression, frozenset(), domain)
     places, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
-    of_z = (
-        replace_subexpressions_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True)))
-        if nodes
-        else z
-    )
-    if not nodes or not is_affine(of_z, z):
+    if not nodes:
+        return None
+    of_z = replace_subexpressions_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True)))
+    if not is_affine(of_z, z):
         return None
     extrema = [_read_max_or_min_arguments(node, domain) for node in nodes]
     signs = [domain.find_expression_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
-    return [
-        replace_subexpressions_by_hash(expression, dict(zip(places, chosen, strict=True)))
-        for chosen in choices
-    ]
+    alternatives = (dict(zip(places, chosen, strict=True)) for chosen in choices)
+    return [replace_subexpressions_by_hash(expression, instead) for instead in alternatives]
 
 
 def _read_max_or_min_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:

@@ -336,12 +336,8 @@ class _NormLimits:
         if len(limiting) == 1 and not removed:
             ((control, label),) = limiting
             others = [c for c in kept if c.name != label]
-            terms = (
-                phase.model.state_derivative(),
-                phase.integrand_expression(),
-                *(c.expression for c in others),
-            )
-            elsewhere = ca.vertcat(*terms)
+            rows = ca.vertcat(*(c.expression for c in others))
+            elsewhere = ca.vertcat(phase.model.state_derivative(), phase.integrand_expression(), rows)
             if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
         return cls(kept, (least, most), removed, None)

@@ -78,9 +78,8 @@ def compute_newton_step(
     if not np.isfinite(flow.final_state_sensitivity).all():
         return None
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_state_sensitivity[:size]])
-    slope, jacobian, _ = ends.differentiate_cost_and_end_conditions(
-        np.zeros(ends.misses.size - ends.given.size)
-    )
+    nothing = np.zeros(ends.misses.size - ends.given.size)
+    slope, jacobian, _ = ends.differentiate_cost_and_end_conditions(nothing)
     rows = np.vstack([flow.final_state_sensitivity[ends.given], jacobian @ changes])[:, free]
     if not are_gradients_independent(rows):
         return None  # undetermined multipliers diverge in the collocated problem
@@ -89,9 +88,8 @@ def compute_newton_step(
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
-    return ends.build_switching_time_step(
-        change, float(gradient @ change), adjoint, multipliers, (hessian, rows), steps
-    )
+    gain = float(gradient @ change)
+    return ends.build_switching_time_step(change, gain, adjoint, multipliers, (hessian, rows), steps)
 
 
 def compute_simplified_newton_step(

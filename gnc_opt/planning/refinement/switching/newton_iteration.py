@@ -97,9 +97,8 @@ def find_optimal_switching_times(
         )
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _build_arc_structure(
-        structure, s, _shift_switching_times(flight.switches, flight.step.change)
-    ), flight
+    switches = _shift_switching_times(flight.switches, flight.step.change)
+    return _build_arc_structure(structure, s, switches), flight
 
 
 def _iterate_to_optimal_switches(
