@@ -68,7 +68,7 @@ class DataclassSerializer:
                 }
             }
         if isinstance(value, (tuple, list)):
-            return self._serialise_sequence(value, place, arrays)
+            return self._serialise_sequence_to_json(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
         return _convert_to_json_value(value.item() if isinstance(value, np.generic) else value, place)
@@ -98,7 +98,9 @@ class DataclassSerializer:
             **{key: self.restore_from_json_tree(item, arrays) for key, item in tree["fields"].items()}
         )
 
-    def _serialise_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
+    def _serialise_sequence_to_json(
+        self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays
+    ) -> Any:
         if _can_concatenate_arrays(value):
             whole = _store_array_under_json_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
@@ -181,7 +183,7 @@ class FileFormat:
             The result contains an object that cannot be stored.
         """
         arrays: Arrays = {}
-        header: dict[str, Any] = {"format": self._archive_format_name, "version": self.version}
+        header: dict[str, Any] = {"format": self._npz_format_identifier, "version": self.version}
         if written_by is not None:
             header["written_by"] = written_by
         header[self.noun] = self.packing.serialise_to_json_tree(result, "", arrays)
@@ -201,7 +203,7 @@ class FileFormat:
             The file is damaged, or has another format or version.
         """
         header, arrays = _read_npz_archive(path, self.noun)
-        if not isinstance(header, dict) or header.get("format") != self._archive_format_name:
+        if not isinstance(header, dict) or header.get("format") != self._npz_format_identifier:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
         if version not in (self.version, *self.alike):
@@ -223,7 +225,7 @@ class FileFormat:
         return result, values
 
     @property
-    def _archive_format_name(self) -> str:
+    def _npz_format_identifier(self) -> str:
         return f"gnc_opt {self.noun}"
 
 

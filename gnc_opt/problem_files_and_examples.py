@@ -46,7 +46,7 @@ class Example:
         return self.path.is_dir()
 
     @property
-    def import_name(self) -> str:
+    def module_name(self) -> str:
         """Module name, such as ``problems.classics.zermelo``."""
         return ".".join(("problems", *self.path.relative_to(self.problems).with_suffix("").parts))
 
@@ -56,7 +56,7 @@ class Example:
         holder = str(self.problems.parent)
         if holder not in sys.path:
             sys.path.insert(0, holder)
-        return import_module(self.import_name)
+        return import_module(self.module_name)
 
     @cached_property
     def docstring(self) -> str:

@@ -47,7 +47,7 @@ def by_trade() -> dict[str, list[Example]]:
     found: dict[str, list[Example]] = {SYSTEMS: [e for e in list_examples() if e.is_package]}
     for example in sorted(list_examples(), key=lambda e: (e.path.parent.name, e.name)):
         if not example.is_package:
-            trade = import_module(example.import_name.rpartition(".")[0]).__doc__ or example.path.parent.name
+            trade = import_module(example.module_name.rpartition(".")[0]).__doc__ or example.path.parent.name
             found.setdefault(trade.partition(":")[0], []).append(example)
     return found
 
@@ -72,7 +72,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         yield f"`go.solve` finds {objective} ([check](../problems.md): {check}).\n"
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"The page [{example.name.replace('_', ' ')}](../{example.name}.md) describes the results.\n"
-    command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.import_name}`"
+    command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.module_name}`"
     yield f"To run it, enter {command}.\n"
     if pictures:
         files = {kind: f"{example.name}_{kind}.svg" for kind in shown(example)}

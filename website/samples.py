@@ -27,7 +27,7 @@ def reports() -> dict[str, str]:
             go.verify(solution),
             Path(folder) / "solution",
             view=file.view,
-            description=file.describe({"case": 1}),
+            description=file.describe_problem_builder({"case": 1}),
             command="gnc-opt solve problems/rendezvous --set case=1 --report report",
         )
         of_campaign = write_campaign_report(

@@ -35,7 +35,7 @@ def tables(rows: Sequence[Row]) -> str:
     lines = [_counts([known[e.name] for e in files if e.name in known])]
     for _, members in groupby(files, key=lambda e: e.path.parent):
         some = list(members)
-        package = import_module(some[0].import_name.rpartition(".")[0])
+        package = import_module(some[0].module_name.rpartition(".")[0])
         trade = (package.__doc__ or package.__name__).partition(":")[0]
         cells = ("| " + " | ".join(_cells(each, known.get(each.name))) + " |" for each in some)
         lines += ["", f"### {trade}", "", _HEADING, *cells]

@@ -97,7 +97,7 @@ class LoopResponse(StrictAttributes):
 
     def channel_open_loop(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
         """Return the open loop of one command with the others closed, (n_omega,) complex."""
-        i = self.commands.labels.index(self._check_command_label(command))
+        i = self.commands.labels.index(self._require_controller_command_label(command))
         return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)
 
     def poles(self, index: int = 0) -> Array:
@@ -178,7 +178,7 @@ class LoopResponse(StrictAttributes):
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
         return k
 
-    def _check_command_label(self, command: str) -> str:
+    def _require_controller_command_label(self, command: str) -> str:
         labels = self.commands.labels
         if command not in labels:
             raise ArgumentError(f"there is no command '{command}': give one of {', '.join(labels)}.")

@@ -120,7 +120,7 @@ class PredictionHorizon:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
         rows, m, errors = self.rows, self.rows.lower.size, self._predict_tracking_errors(e_0)
         commands = [
-            self._predict_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
+            self._predict_mpc_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
         ]
         found = [_build_scaled_limit_constraints(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
@@ -164,7 +164,7 @@ class PredictionHorizon:
             )
         return found
 
-    def _predict_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
+    def _predict_mpc_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
         return self._pad_block_to_all_qp_variables(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest

@@ -235,7 +235,7 @@ class VectorSymbols(tuple[Any, Any]):
     """
 
     @property
-    def unpacking_statement(self) -> str:
+    def unpacking_hint(self) -> str:
         """Description of the pair, with the statement that unpacks it."""
         name = self[1].variable.name.removesuffix("_magnitude")
         return (
@@ -243,12 +243,12 @@ class VectorSymbols(tuple[Any, Any]):
             f"{name}, magnitude = model.vector_control('{name}', ...)."
         )
 
-    def _raise_missing_unpacking_error(self, *_: Any) -> Any:
-        raise ModelError(f"an operand is {self.unpacking_statement}")
+    def _raise_pair_not_unpacked_error(self, *_: Any) -> Any:
+        raise ModelError(f"an operand is {self.unpacking_hint}")
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_missing_unpacking_error
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_pair_not_unpacked_error
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = (
-        _raise_missing_unpacking_error
+        _raise_pair_not_unpacked_error
     )
 
 
@@ -257,7 +257,7 @@ def convert_to_sx_column(
 ) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
-        raise failure(f"{what} is {value.unpacking_statement}")
+        raise failure(f"{what} is {value.unpacking_hint}")
     try:
         parts = value if isinstance(value, (list, tuple)) else [value]
         expression = ca.vertcat(*[ca.SX(v) for v in parts])

@@ -53,7 +53,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
         _require_checkpoint_of_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_truncate_run_batch(part, count))
+            found.append(_keep_first_runs_of_batch(part, count))
     return found
 
 
@@ -89,7 +89,7 @@ def _require_checkpoint_of_same_campaign(part: Campaign, mission: CampaignTask, 
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _truncate_run_batch(part: Campaign, count: int) -> RunBatch:
+def _keep_first_runs_of_batch(part: Campaign, count: int) -> RunBatch:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,

@@ -37,7 +37,7 @@ def describe_campaign_scenario(
         for part in getattr(loop, kind):
             own = (v for v in parameters.variables if v.name.startswith(f"{part.name}."))
             units = _TIMES | {v.name.partition(".")[2]: v.unit for v in own}
-            rows.append((kind.removesuffix("s"), part.name, _describe_class_and_settings(part, units)))
+            rows.append((kind.removesuffix("s"), part.name, _describe_scenario_element(part, units)))
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
     for name, part in dispersions.items():
@@ -45,7 +45,7 @@ def describe_campaign_scenario(
         unit = "rad" if isinstance(part, RandomRotation) else "" if relative else parameters[name].unit
         how = {None: "", True: " to the nominal value", False: ", added to the nominal value"}[relative]
         rows.append(
-            ("dispersion", name, _describe_class_and_settings(part, dict.fromkeys(_SPREADS, unit)) + how)
+            ("dispersion", name, _describe_scenario_element(part, dict.fromkeys(_SPREADS, unit)) + how)
         )
     for name, value, unit, remark in control.explain().rows:
         text = f"{value} {unit}".rstrip() + f" ({remark})" * bool(remark)
@@ -53,7 +53,7 @@ def describe_campaign_scenario(
     return (*rows, *(("software", *pair) for pair in list_software_versions().items()))
 
 
-def _describe_class_and_settings(part: Any, units: Mapping[str, str]) -> str:
+def _describe_scenario_element(part: Any, units: Mapping[str, str]) -> str:
     """Return "noise on q: standard deviation 0.05 m": class, place and the values that differ from its defaults."""
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
     places = np.ravel(getattr(part, "on", None) or []).tolist()
@@ -73,7 +73,7 @@ def _describe_non_default_settings(part: Any, units: Mapping[str, str]) -> Itera
         if isinstance(value, bool):
             yield name if value else f"not {name}"
         elif is_dataclass(value):
-            yield f"{name} {_describe_class_and_settings(value, units)}"
+            yield f"{name} {_describe_scenario_element(value, units)}"
         elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
             texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
             numbers = texts[0] if len(set(texts)) == 1 else ", ".join(texts)

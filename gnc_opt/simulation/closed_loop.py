@@ -21,7 +21,10 @@ from gnc_opt.simulation.actuators.memoryless_nonlinearities import Saturation
 from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_closed_loop
 from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_closed_loop_kernel
-from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_nonfinite_quantity_labels
+from gnc_opt.simulation.control_step_expressions import (
+    list_controller_alarm_labels,
+    list_nonfinite_quantity_labels,
+)
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.recorded_extremes_and_integrals import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
@@ -111,16 +114,16 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.state_derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            parts = _read_closed_loop_parts(
+            parts = _read_closed_loop_blocks(
                 getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"
             )
             set_(self, name, parts)
         set_(
             self,
             "events",
-            _read_closed_loop_parts(self.events, Event, "events", "write Event(name, expression)"),
+            _read_closed_loop_blocks(self.events, Event, "events", "write Event(name, expression)"),
         )
-        quantities = _read_closed_loop_parts(
+        quantities = _read_closed_loop_blocks(
             self.quantities, Quantity, "quantities", "write Quantity(name, expression)"
         )
         set_(self, "quantities", quantities)
@@ -337,7 +340,7 @@ class ClosedLoop:
     def _build_run_outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
             tuple(list_nonfinite_quantity_labels(self.wiring)),
-            tuple(list_alarm_labels(self.wiring)),
+            tuple(list_controller_alarm_labels(self.wiring)),
             self.plant.states,
             self.wiring.divergence_limits,
             self.wiring.events.layout.names,
@@ -395,7 +398,7 @@ class ClosedLoop:
         return ca.Function("e", [x, x_ref], [self.plant.state_error_expression(x, x_ref)])
 
 
-def _read_closed_loop_parts(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+def _read_closed_loop_blocks(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {quote_value(given)}: give a list; {remedy}.")

@@ -171,7 +171,7 @@ class CompiledLoop:
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        samples = np.full((self.quantities.size, self._quantity_sample_steps.size, P.shape[1]), np.nan)
+        samples = np.full((self.quantities.size, self._sampling_step_indices.size, P.shape[1]), np.nan)
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -316,18 +316,18 @@ class CompiledLoop:
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
-        return sorted(edges | set(self._quantity_sample_steps.tolist()))
+        return sorted(edges | set(self._sampling_step_indices.tolist()))
 
     @cached_property
-    def _quantity_sample_steps(self) -> Any:
+    def _sampling_step_indices(self) -> Any:
         return select_quantity_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
     def _record_quantities_at_step(self, samples: Array, step: int, X: Array) -> None:
         """Write the quantities at a step, the last values in the kernel state X, to (n, n_samples)."""
-        if step in self._quantity_sample_steps and not self._has_event_ended_run(X):
+        if step in self._sampling_step_indices and not self._has_event_ended_run(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
-            samples[:, np.searchsorted(self._quantity_sample_steps, step)] = record[4 * n :]
+            samples[:, np.searchsorted(self._sampling_step_indices, step)] = record[4 * n :]
             samples[:, 0] = record[3 * n : 4 * n]
 
     def _create_replannable_reference(self) -> ActiveReference:

@@ -18,8 +18,8 @@ from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_named_sign
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
 from gnc_opt.simulation.recorded_extremes_and_integrals import (
-    create_empty_extremes_record,
-    merge_extremes_records,
+    create_empty_extremes_and_integrals,
+    merge_extremes_and_integrals,
 )
 from gnc_opt.simulation.sensor_and_actuator_block import StepContext
 from gnc_opt.simulation.zero_crossing_location import build_event_location_function, build_event_log_layout
@@ -217,7 +217,11 @@ class _KernelBuilder(ControlStep):
         y, sensors = self.evaluate_sensor_blocks(x, w["t"], None, w)
         tick = StepContext(w["t"], self.h, wiring.dt, self.split_plant_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors, "quantities": create_empty_extremes_record(len(wiring.quantities))}
+        parts |= {
+            "plant": x,
+            **sensors,
+            "quantities": create_empty_extremes_and_integrals(len(wiring.quantities)),
+        }
         parts |= self.build_initial_actuator_memories(tick, w["r"])
         if wiring.events:
             parts |= self.build_initial_event_record(w["t"], x)
@@ -298,7 +302,7 @@ class _KernelBuilder(ControlStep):
             )
             watches = (extremes,) if watch is None else (watch, extremes)
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
-            new["quantities"] = merge_extremes_records(new["quantities"], extremes.record)
+            new["quantities"] = merge_extremes_and_integrals(new["quantities"], extremes.record)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)

@@ -85,14 +85,14 @@ class StepExecutor:
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
-        def build_logged_step_sequence() -> Any:
+        def build_step_sequence_with_log() -> Any:
             return self._build_step_sequence_function(
                 lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count
             )
 
         columns[0] = X
         self._evaluate_casadi_into_arrays(
-            ("logged", count), build_logged_step_sequence, (columns[0], rows, C), columns[1:], logs
+            ("logged", count), build_step_sequence_with_log, (columns[0], rows, C), columns[1:], logs
         )
         return columns.T, logs.T
 

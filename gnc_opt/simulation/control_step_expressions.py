@@ -276,7 +276,7 @@ class ControlStep:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
-        self._record_first_faults(new, state, t, ca.vertcat(*seen), z)
+        self._record_first_nan_divergence_alarm(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.stack_vector_by_name({**nothing, **logged})
 
@@ -287,7 +287,7 @@ class ControlStep:
     def create_event_detector(self, state: dict[str, Any], begin: Any) -> EventDetector:
         return EventDetector(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
-    def _record_first_faults(
+    def _record_first_nan_divergence_alarm(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any
     ) -> None:
         """Record the first non-finite quantity, the first diverged state and the first alarm, with their times."""
@@ -329,7 +329,7 @@ def list_nonfinite_quantity_labels(wiring: LoopWiring) -> list[str]:
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 
 
-def list_alarm_labels(wiring: LoopWiring) -> list[str]:
+def list_controller_alarm_labels(wiring: LoopWiring) -> list[str]:
     """Return the labels of the alarm codes, starting at code 1."""
     memory = wiring.controller.memory
     return [label for name in wiring.controller.alarms for label in memory[name].labels]

@@ -84,31 +84,31 @@ class Quantities:
         return cls(layout, ca.Function("quantities", plant.symbolic_arguments(), [y]))
 
 
-def create_empty_extremes_record(count: int) -> Any:
-    """Return the empty record (5 count,) of ``count`` quantities: see `merge_extremes_records`."""
+def create_empty_extremes_and_integrals(count: int) -> Any:
+    """Return the empty record (5 count,) of ``count`` quantities: see `merge_extremes_and_integrals`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
 
 
-def merge_extremes_records(one: Any, other: Any) -> Any:
+def merge_extremes_and_integrals(one: Any, other: Any) -> Any:
     """Return the record of two consecutive intervals: maximum, minimum, integral, first and last values; SX or MX."""
-    a, b = _split_extremes_record(one), _split_extremes_record(other)
+    a, b = _split_extremes_and_integrals(one), _split_extremes_and_integrals(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
     last = ca.if_else(ca.fabs(b[4]) < ca.inf, b[4], a[4])
     return ca.vertcat(ca.fmax(a[0], b[0]), ca.fmin(a[1], b[1]), a[2] + b[2], first, last)
 
 
-def _split_extremes_record(record: Any) -> tuple[Any, ...]:
+def _split_extremes_and_integrals(record: Any) -> tuple[Any, ...]:
     n = record.shape[0] // 5
     return tuple(record[i * n : (i + 1) * n] for i in range(5))
 
 
 class Extremes:
-    """Accumulated ``record`` (5 n_quantities,) of quantities during integration, see `merge_extremes_records`; SX."""
+    """``record`` (5 n_quantities,), SX, of quantities during integration; see `merge_extremes_and_integrals`."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
-        self.record = ca.SX(create_empty_extremes_record(len(quantities)))
+        self.record = ca.SX(create_empty_extremes_and_integrals(len(quantities)))
 
     def __call__(self, taken: IntegrationStep, applied: Callable[[float], Any]) -> None:
         """Add an integration step to the record."""
@@ -122,8 +122,9 @@ class Extremes:
         highest = _build_interpolated_maximum_function(len(y), y[0].shape[0])
         step = ca.vertcat(highest(*y), -highest(*(-each for each in y)), total, y[0], y[-1])
         active = ca.repmat(taken.length > 0, step.shape[0], 1)
-        self.record = merge_extremes_records(
-            self.record, ca.if_else(active, step, ca.SX(create_empty_extremes_record(len(self.quantities))))
+        self.record = merge_extremes_and_integrals(
+            self.record,
+            ca.if_else(active, step, ca.SX(create_empty_extremes_and_integrals(len(self.quantities)))),
         )
 
     def _evaluate_quantities_within_step(self, taken: IntegrationStep, nu: float, u: Any) -> Any:

@@ -20,7 +20,7 @@ import casadi as ca
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME
 from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.dormand_prince import IntegrationStep
-from gnc_opt.simulation.recorded_extremes_and_integrals import merge_extremes_records
+from gnc_opt.simulation.recorded_extremes_and_integrals import merge_extremes_and_integrals
 from gnc_opt.simulation.zero_crossing_events import EVENTS_PER_STEP_MAX, Events
 
 RATE_SHARE_OF_STEP = 1e-4
@@ -153,7 +153,7 @@ class _ZeroCrossingPropagation:
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _accumulate_extremes_and_integrals(self, v: dict[str, Any], s: Any, **segment: Any) -> dict[str, Any]:
-        seen = merge_extremes_records(v["quantities"], segment["quantities"])
+        seen = merge_extremes_and_integrals(v["quantities"], segment["quantities"])
         return {**v, **segment, "s": s, "lost": ca.fmax(v["lost"], segment["lost"]), "quantities": seen}
 
     def _build_propagation_through_event(self) -> Any:

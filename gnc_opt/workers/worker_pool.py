@@ -194,7 +194,7 @@ class WorkerPool(Generic[Object]):
             while waiting and len(pending) < room:
                 number, item = waiting.popleft()
                 future = (
-                    _create_worker_died_future() if deserted else self._submit_task_to_executor(task, item)
+                    _create_future_of_dead_worker() if deserted else self._submit_task_to_executor(task, item)
                 )
                 ledger.futures[number] = future
                 if future.done():
@@ -211,7 +211,7 @@ class WorkerPool(Generic[Object]):
                     future.cancel()
                 record_task_result(
                     number,
-                    _create_worker_died_future().exception() if deserted else _get_task_exception(future),
+                    _create_future_of_dead_worker().exception() if deserted else _get_task_exception(future),
                 )
         return sorted(left, key=lambda numbered: numbered[0])
 
@@ -253,7 +253,7 @@ class WorkerPool(Generic[Object]):
         except Exception:
             if not _has_no_cluster_workers(self._executor):
                 raise
-            return _create_worker_died_future()
+            return _create_future_of_dead_worker()
 
 
 @dataclass(eq=False)
@@ -315,7 +315,7 @@ def _create_failed_future(error: BaseException) -> Future[Any]:
     return future
 
 
-def _create_worker_died_future() -> Future[Any]:
+def _create_future_of_dead_worker() -> Future[Any]:
     return _create_failed_future(WorkerDiedError("the cluster has no workers left"))
 
 

@@ -176,14 +176,14 @@ def _kill_executor_processes(executor: Any) -> None:
 
 def _initialise_worker_process(parcel: LocalParcel[Any] | Path) -> None:
     """Get the object, ignore Ctrl-C (handled by the parent), and limit the threads to one."""
-    threading.Thread(target=_exit_when_parent_exits, daemon=True).start()
+    threading.Thread(target=_exit_worker_when_parent_exits, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
     _OBJECT[:] = [open_shared_object(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
 
 
-def _exit_when_parent_exits() -> None:
+def _exit_worker_when_parent_exits() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
