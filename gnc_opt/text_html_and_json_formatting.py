@@ -43,7 +43,7 @@ def format_html_heading(text: str) -> str:
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
-_UNIT = re.compile(r"([A-Za-z°%]+)(?:\^(-?[\d.]+))?")
+_UNIT = re.compile(r"([A-Za-z°%]+|\d+\.\d+)(?:\^(-?[\d.]+))?")
 
 
 def format_unit_quotient(unit: str, other: str) -> str:

@@ -22,6 +22,9 @@ ROOT = Path(__file__).parents[1]
 
 SYSTEMS = "Systems"
 
+SHOWN_OPTIONS = {"hypersensitive": {"duration": 40.0}}
+"""Options of `build` for figures that would be unreadable with the default ones."""
+
 
 def reference(example: Example) -> Reference | None:
     """Return the known answer; systems compare themselves with their publications instead."""
@@ -75,6 +78,8 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.module_name}`"
     yield f"To run it, enter {command}.\n"
     if pictures:
+        if options := SHOWN_OPTIONS.get(example.name):
+            yield f"The figures show `build({', '.join(f'{k}={v:g}' for k, v in options.items())})`.\n"
         files = {kind: f"{example.name}_{kind}.svg" for kind in shown(example)}
         yield "".join(
             f"[![{heading(example)}: {kind}]({f})]({f})\n\n" for kind, f in files.items()
@@ -120,7 +125,8 @@ def pictures(example: Example) -> dict[str, bytes]:
     """Return figures as SVG by their place in the site: of the certified answer, or of a run if there is no problem."""
     module = example.module
     if hasattr(module, "build"):
-        answer = go.solve(module.build(), mesh=getattr(module, "MESH", None), throw=False)
+        problem = module.build(**SHOWN_OPTIONS.get(example.name, {}))
+        answer = go.solve(problem, mesh=getattr(module, "MESH", None), throw=False)
         draw: dict[str, Callable[[Any], Any]] = {"states": plot_states, "controls": plot_controls}
     else:
         answer, draw = (

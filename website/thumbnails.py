@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import gnc_opt as go
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.figure_style import COLORS, apply_plot_style, format_unit, format_variable_name
 from gnc_opt.plot.time_plot_axes import sample_piecewise_function
 
@@ -64,7 +65,7 @@ AXES = {
     "gto_to_geo": "orbit P ex ey L",
     "hang_glider": "x y",
     "heading_reversal": "chi h",
-    "hypersensitive": "t x",
+    "hypersensitive": "x u",
     "interior_point": "t x",
     "j2_orbit_raising": "orbit p f g t",
     "keep_out_rendezvous": "r:0 r:1",
@@ -142,6 +143,8 @@ def draw(name: str, solution: go.Solution) -> Figure:
                 _draw_orbit(ax, leg, names)
             else:
                 _draw_curves(ax, leg, kind, names[0])
+        if kind == "t":
+            ax.set_xlabel(f"time ({time_unit(solution)})")
         if kind in ("polar", "orbit"):
             ax.set_aspect("equal", adjustable="datalim")
         for axis in (ax.xaxis, ax.yaxis):

@@ -229,6 +229,7 @@ def convert_latex_to_mathml(formula: str, display: str) -> str:
     sized = re.sub(r"\\[bB]igg?[lr]?(?=[)\]])", r"\\right", sized)
     mathml = str(convert(sized, display=display)).replace("<mo>&#x02202;</mo>", "<mi>&#x02202;</mi>")
     mathml = re.sub(r'<mo( stretchy="false")?>(?=&#x000(?:2F|7C);)', r'<mo\1 lspace="0" rspace="0">', mathml)
+    mathml = re.sub(r"<mo>([A-Za-z]\w+)</mo>", r"<mi>\1</mi>", mathml)  # names of operators are upright
     return re.sub(_BEFORE_SIGN + "<mo>&#x02212;</mo>", r'\1<mo form="prefix">&#x02212;</mo>', mathml)
 
 

@@ -44,7 +44,7 @@ def build(field_of_view: float = FIELD_OF_VIEW) -> go.Problem:
     missile = go.Model("missile")
     x, y = missile.state("x", unit="km"), missile.state("y", unit="km")
     gamma = missile.state("gamma", unit="rad")
-    a = missile.control("a")
+    a = missile.control("a", unit="g")
     missile.ode({x: SPEED * ca.cos(gamma), y: SPEED * ca.sin(gamma), gamma: a * GRAVITY / SPEED})
     to_x, to_y = TARGET[0] + TARGET_SPEED * missile.time - x, TARGET[1] - y
     distance = ca.sqrt(to_x**2 + to_y**2 + RANGE_SCALE**2)
