@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownArcs,
     KnownSwitches,
-    restore_first_stage_meshes,
+    restore_initial_refinement_meshes,
     truncate_solution_to_start_time,
 )
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
@@ -347,7 +347,7 @@ def _restart_refinement(
 ) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
     budget, start = WorkBudget.start_work_budget(limits), truncate_solution_to_start_time(known, problem)
-    settings |= {"mesh": restore_first_stage_meshes(known), "scheme": known.scheme, "throw": False}
+    settings |= {"mesh": restore_initial_refinement_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.record_work(compute_refinement_work(warm))
     ended = warm.status if warm.history is None else warm.history.status

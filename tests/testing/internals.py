@@ -66,7 +66,10 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compi
 from gnc_opt.planning.problem.interval_arithmetic import bound_function_values
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.planning.problem.scaling_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import (
+    UNBOUNDED_STATE_MAX_RATIO,
+    estimate_state_and_control_magnitudes,
+)
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
@@ -77,7 +80,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     count_equivalent_uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_control_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh

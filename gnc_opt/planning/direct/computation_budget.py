@@ -15,7 +15,10 @@ from dataclasses import dataclass, field, replace
 from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.refinement_history import SOLVE_FIXED_COST_ITERATIONS, compute_solve_work
+from gnc_opt.planning.solution.refinement_history import (
+    SOLVE_FIXED_COST_ITERATIONS,
+    compute_work_of_nlp_solve,
+)
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -146,7 +149,9 @@ class WorkBudget:
     def record_solve_work(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         variables = _count_trajectory_variables(solution.phases.values())
-        self.record_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)
+        self.record_work(
+            compute_work_of_nlp_solve(variables, solution.statistics.iterations) / WORK_PER_SECOND
+        )
 
     def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:
         """Return the remaining iterations of a solve, at least one; None: unlimited."""

@@ -84,7 +84,7 @@ class StateConstraints:
         """Variation of each row along the phase."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def get_contact_order(self, row: int) -> int:
+    def get_order_of_constraint_contact(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
         if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
@@ -106,7 +106,7 @@ class StateConstraints:
 
     def _differentiate_constraint_by_control(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
-        s, order = self.samples, self.get_contact_order(row)
+        s, order = self.samples, self.get_order_of_constraint_contact(row)
         values = self.evaluate_constraints(s.times, s.x, s.u)[row]
         distance = np.min([np.abs(values - at) for _, at in self.list_finite_limits(row)], axis=0)
         near = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
@@ -258,7 +258,7 @@ def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
             rows, listed = StateConstraints(problem, s), solution.structure if with_arcs else ()
-            arcs = [found for arc in listed for found in _find_high_order_arcs(rows, arc)]
+            arcs = [found for arc in listed for found in _find_high_order_constraint_arcs(rows, arc)]
             ends = {(start.constraint, k) for start, last in arcs for k in (start.boundary, last)}
             touches = [j for j in _find_touch_points(rows) if (j.constraint, j.boundary) not in ends]
             if touches or arcs:
@@ -266,7 +266,7 @@ def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     return problem
 
 
-def _find_high_order_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
+def _find_high_order_constraint_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
     """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
     phase = rows.samples.leg
     labels = (*phase.path_labels, *phase.states.labels)
@@ -344,10 +344,10 @@ def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
         for row, k in np.argwhere(here):
             if (rows.get_constraint_order(int(row)).order or 0) >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_breaks_of_active_limit_exchange(rows)
+    return tuple(found) + _find_breaks_where_active_limits_change(rows)
 
 
-def _find_breaks_of_active_limit_exchange(rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_breaks_where_active_limits_change(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, phase = rows.samples, rows.samples.leg
     orders = [rows.get_constraint_order(i) for i in range(len(phase.path_labels))]

@@ -76,11 +76,11 @@ class BangBangFlow:
 
     def integrate_adjoint_equation(self, adjoint: Array) -> Array:
         """Return the gradient of ``adjoint @ final`` in the states at all step ends (n, n_steps + 1)."""
-        return self._compute_cost_gradients(adjoint)[:-1]
+        return self._compute_cost_gradients_by_step(adjoint)[:-1]
 
     def compute_adjoint_gradient(self, adjoint: Array) -> Array:
         """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
-        adjoints, n_times = self._compute_cost_gradients(adjoint), self._widths.shape[1]
+        adjoints, n_times = self._compute_cost_gradients_by_step(adjoint), self._widths.shape[1]
         found = adjoints[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += adjoints[-1, :-1] @ self._widths
         return np.asarray(found)
@@ -96,7 +96,7 @@ class BangBangFlow:
         directions = self._step_and_final_state_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
-    def _compute_cost_gradients(self, adjoint: Array) -> Array:
+    def _compute_cost_gradients_by_step(self, adjoint: Array) -> Array:
         """Return cost gradients in the states before every step and (last row) step lengths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:

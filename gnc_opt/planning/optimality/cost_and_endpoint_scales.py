@@ -49,7 +49,7 @@ def remove_short_intervals_from_mask(times: Array, here: Mask, share: float = MI
     return arcs
 
 
-def find_sustained_minimum_sample(times: Array, values: Array) -> int:
+def find_lasting_minimum_sample(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `MINOR`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.

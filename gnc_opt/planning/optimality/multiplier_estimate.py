@@ -176,7 +176,7 @@ def estimate_multipliers(
     restarts = {
         name: _choose_adjoint_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()
     }
-    exact = _mask_adjoint_rows(transcription, restarts)
+    exact = _mask_adjoint_equation_rows(transcription, restarts)
     determined = _mask_adjoint_multipliers(transcription, restarts)
     basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * factor, exact, basis, limits, pushing)
@@ -342,7 +342,7 @@ def _sample_trajectory_variables(
     return set_integral_variables_by_quadrature(transcription, problem, x)
 
 
-def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+def _mask_adjoint_equation_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
     """Return the rows of the adjoint equation between restarts, which hold exactly for any costates there."""
     rows = transcription.mask_interior_states()
     for name, part in transcription.parts.items():

@@ -67,7 +67,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import (
     get_endpoint_value_function,
 )
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
@@ -134,7 +134,9 @@ class Scales:
         order = sorted(samples, key=lambda s: s.leg.initial_time)
         links = differentiate_linked_initial_states(problem, solution, order)
         deviations = {s.leg.name: estimate_control_deviations(s) for s in samples}
-        typical = {name: estimate_phase_magnitudes(phase)[0] for name, phase in problem.phases.items()}
+        typical = {
+            name: estimate_state_and_control_magnitudes(phase)[0] for name, phase in problem.phases.items()
+        }
 
         def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
             gramians = compute_control_gramians(links, order, deviations, columns)
@@ -196,7 +198,12 @@ class Scales:
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & has_cost_curvature(s)
+        cheap = (
+            (shares < CHEAP_AFFINE)
+            & (shares > CHEAP_CURVED)
+            & (bends > 0)
+            & mask_controls_with_cost_curvature(s)
+        )
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = differentiate_final_state_by_controls(s)
@@ -246,7 +253,7 @@ def _compute_limit_cost_of_state_shift(s: PhaseSamples, moved: Array) -> float:
     return float(moved @ np.abs(forces) @ s.weights)
 
 
-def has_cost_curvature(s: PhaseSamples) -> Mask:
+def mask_controls_with_cost_curvature(s: PhaseSamples) -> Mask:
     """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))

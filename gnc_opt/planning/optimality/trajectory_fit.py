@@ -24,7 +24,10 @@ from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, TINY
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, subdivide_intervals
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix, get_collocation_rule
+from gnc_opt.planning.transcription.quadrature import (
+    build_lagrange_interpolation_matrix,
+    get_collocation_rule,
+)
 
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
@@ -79,7 +82,9 @@ class FittedPhase:
 def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """Return the same polynomials with values at the nodes of every part of their segments."""
     nodes = whole.nodes[0]  # of all segments
-    matrices = [build_lagrange_matrix(nodes, (2 * k + 1 + nodes) / parts - 1).T for k in range(parts)]
+    matrices = [
+        build_lagrange_interpolation_matrix(nodes, (2 * k + 1 + nodes) / parts - 1).T for k in range(parts)
+    ]
     values = tuple(own @ matrix for own in whole.values for matrix in matrices)
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
@@ -162,15 +167,15 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 
 def _find_curve_intersection(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
 
-    def compute_interpolant_difference(time: float) -> float:
+    def compute_difference_of_interpolants(time: float) -> float:
         return float(left(time) - right(time))
 
     for end in (first, last):
-        if abs(compute_interpolant_difference(end)) <= slack:
+        if abs(compute_difference_of_interpolants(end)) <= slack:
             return end
-    if compute_interpolant_difference(first) * compute_interpolant_difference(last) > 0:
+    if compute_difference_of_interpolants(first) * compute_difference_of_interpolants(last) > 0:
         return None
-    return float(scipy.optimize.brentq(compute_interpolant_difference, first, last))
+    return float(scipy.optimize.brentq(compute_difference_of_interpolants, first, last))
 
 
 class _ControlFit:

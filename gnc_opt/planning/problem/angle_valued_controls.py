@@ -69,7 +69,7 @@ class AngleProbe:
     u: Array
 
     @cached_property
-    def unshifted_function_values(self) -> Array:
+    def function_values_without_shift(self) -> Array:
         return self.values(self.u)
 
     def find_angle_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
@@ -78,7 +78,7 @@ class AngleProbe:
             turned, elsewhere = (
                 self.values(self._shift_control_angle(i, by)) for by in (period, ELSEWHERE * period)
             )
-            if is_invariant_under_full_turn(self.unshifted_function_values, turned, elsewhere):
+            if is_invariant_under_full_turn(self.function_values_without_shift, turned, elsewhere):
                 return period
         return 0.0
 

@@ -57,7 +57,7 @@ def get_control_bounds(model: Model) -> Interval:
     return box
 
 
-def convert_ranges_to_split_controls(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+def convert_bounds_to_split_controls(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return ranges in which split controls are replaced by their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():

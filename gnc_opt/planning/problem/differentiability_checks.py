@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 from gnc_opt.planning.problem.symbolic_expressions import (
     find_points_outside_tables,
     list_endpoint_arguments,
@@ -135,9 +135,9 @@ def find_singular_norms(problem: ProblemData, phase: Phase) -> list[str]:
     q = problem.get_parameter_guess()
     box = phase.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
-    guessed = evaluate_phase_functions(problem, phase, times, start.states, start.controls, q)
+    guessed = evaluate_functions_along_phase(problem, phase, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in evaluate_phase_functions(problem, phase, times, start.states, still, q).items():
+    for kind, tried in evaluate_functions_along_phase(problem, phase, times, start.states, still, q).items():
         for row, what in _find_undefined_derivatives(phase, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {phase.label} has {what}: {_REMEDY}")
     return texts
@@ -235,7 +235,7 @@ def find_nonfinite_function(
     problem: ProblemData, phase: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NonfiniteValue | None:
     """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
-    for tried in evaluate_phase_functions(problem, phase, times, states, controls, parameters).values():
+    for tried in evaluate_functions_along_phase(problem, phase, times, states, controls, parameters).values():
         bad = tried.find_nonfinite_value()
         if bad:
             labels = (*phase.model.states.labels, *phase.model.controls.labels)
@@ -244,7 +244,7 @@ def find_nonfinite_function(
     return None
 
 
-def evaluate_phase_functions(
+def evaluate_functions_along_phase(
     problem: ProblemData, phase: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, FunctionValues]:
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
@@ -273,7 +273,7 @@ class _GuessSamples:
     def from_phase(cls, phase: Phase) -> _GuessSamples:
         # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(phase, np.array([0.0, *_FRACTIONS, 1.0]))
-        scales, control_scales = estimate_phase_magnitudes(phase)
+        scales, control_scales = estimate_state_and_control_magnitudes(phase)
         states = _move_values_inside_bounds(start.states[:, 1:-1], phase.numbers.states, scales)
         controls = _move_values_inside_bounds(start.controls[:, 1:-1], phase.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
@@ -317,9 +317,9 @@ def _check_phase_functions_finite(problem: ProblemData, phase: Phase) -> list[An
         raise _make_nonfinite_error(f"{bad.what} at the guess in {phase.label} at {when}", bad.point)
     integrals = np.zeros(0)
     if phase.integrands:
-        integrands = evaluate_phase_functions(problem, phase, *guessed.along, problem.get_parameter_guess())[
-            "integral"
-        ]
+        integrands = evaluate_functions_along_phase(
+            problem, phase, *guessed.along, problem.get_parameter_guess()
+        )["integral"]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
     first = _move_values_inside_bounds(
         start.states[:, :1], intersect_bounds(numbers.initial, numbers.states), guessed.scales

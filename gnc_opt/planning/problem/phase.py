@@ -26,7 +26,7 @@ from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
-    convert_ranges_to_split_controls,
+    convert_bounds_to_split_controls,
     get_control_bounds,
     intersect_bounds,
     read_norm_ranges,
@@ -212,7 +212,7 @@ class Phase(StrictAttributes):
         """
         ranges = split_time_dependent_bounds(self, ranges)
         states, controls = self._split_states_and_controls(
-            convert_ranges_to_split_controls(self.model, ranges, self.label), "bounds"
+            convert_bounds_to_split_controls(self.model, ranges, self.label), "bounds"
         )
         self._replace_bounds_and_guess(
             states=replace_bounds_by_name(

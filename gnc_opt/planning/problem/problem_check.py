@@ -68,7 +68,7 @@ def check_bounds_and_times(problem: ProblemData) -> None:
         _check_boundary_values_in_bounds(phase)
         _check_path_constraints_at_ends(problem, phase)
     for phase in problem.phases.values():
-        _check_phase_order(problem, phase)
+        _check_phase_start_after_predecessor(problem, phase)
     _check_boundary_constraints(problem)
 
 
@@ -164,7 +164,7 @@ def _build_path_constraint_function(problem: ProblemData, phase: Phase) -> Any:
     )
 
 
-def _check_phase_order(problem: ProblemData, phase: Phase) -> None:
+def _check_phase_start_after_predecessor(problem: ProblemData, phase: Phase) -> None:
     """Raise an error for a phase that starts with its predecessor, because ``time()`` sets the start to 0."""
     if phase.follows is None:
         return

@@ -144,7 +144,7 @@ def _is_vector_norm_constant(problem: ProblemData, phase: Phase, places: Indices
     return True
 
 
-def find_nonimplied_bounds(problem: ProblemData, phase: Phase) -> Interval:
+def find_bounds_not_implied_by_norm(problem: ProblemData, phase: Phase) -> Interval:
     """Return the bounds of controls without those that a constant length, of states too, implies.
 
     If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
@@ -195,7 +195,7 @@ def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> Phase
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if phase.numbers.arcs is not None:
         return phase.numbers
-    old, box = phase.numbers.controls, find_nonimplied_bounds(problem, phase)
+    old, box = phase.numbers.controls, find_bounds_not_implied_by_norm(problem, phase)
     turns = _find_unrestricted_angles(problem, phase, box)
     free = turns.unbounded_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
@@ -215,7 +215,7 @@ def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval)
     ):
         return turns
     probe = build_angle_invariance_test(problem, phase)
-    if not np.all(np.any(np.isfinite(probe.unshifted_function_values), axis=1)):
+    if not np.all(np.any(np.isfinite(probe.function_values_without_shift), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
         period = probe.find_angle_period(int(i), [*PERIODS, width[i]])

@@ -25,7 +25,7 @@ GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of the magnitude of each state."""
 
 
-def estimate_phase_magnitudes(phase: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
+def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
     The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the

@@ -95,7 +95,9 @@ def find_boundary_values_outside_tables(problem: ProblemData, ends: list[Any]) -
     uses = list_boundary_table_calls(problem)
     if not uses:
         return []
-    function = build_boundary_function(problem, "tables", ca.vertcat(*(use.arguments for use in uses)))
+    function = build_endpoint_expression_function(
+        problem, "tables", ca.vertcat(*(use.arguments for use in uses))
+    )
     return _find_values_outside_tables(uses, function(*ends).full(), "", np.full(1, np.nan))
 
 
@@ -123,7 +125,7 @@ def list_endpoint_arguments(problem: ProblemData) -> list[Any]:
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
-def build_boundary_function(problem: ProblemData, name: str, column: Any) -> Any:
+def build_endpoint_expression_function(problem: ProblemData, name: str, column: Any) -> Any:
     """Return a column of end values as CasADi Function of `list_endpoint_arguments`."""
     return ca.Function(
         name, list_endpoint_arguments(problem), [ca.densify(substitute_parameters(problem, column))]

@@ -85,26 +85,26 @@ class PhaseError:
         return cls(s, *errors, integral_scale, path_scale)
 
     @property
-    def segment_error_matrix(self) -> Array:
+    def stacked_segment_errors(self) -> Array:
         """Errors of all kinds, stacked by rows; NaN is replaced by infinity."""
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
     def compute_required_error_reduction(self, aim: float) -> Array:
         """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
-        table = np.log10(np.clip(self.segment_error_matrix, 1e-99, 1e6) / aim)
+        table = np.log10(np.clip(self.stacked_segment_errors, 1e-99, 1e6) / aim)
         table[-self.costates.shape[0] :] /= 2.0  # squared residuals
         return np.asarray(np.max(table, axis=0))
 
     @property
     def largest_segment_errors(self) -> Array:
         """Largest error of each segment, (K,)."""
-        return np.asarray(np.max(self.segment_error_matrix, axis=0))
+        return np.asarray(np.max(self.stacked_segment_errors, axis=0))
 
     @property
     def largest_error_location(self) -> str:
         """Location and kind of the largest error."""
-        table, phase = self.segment_error_matrix, self.samples.leg
+        table, phase = self.stacked_segment_errors, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
         states, controls = phase.states.labels, phase.controls.labels
         names = [f"dynamics of {label}" for label in states]

@@ -95,7 +95,7 @@ def run_refinement_stages(
             f"{suggest_similar_name(str(structure), get_args(StructureChoice))}"
         )
     try:
-        solution = _remove_fixed_arcs(solution, stages)
+        solution = _remove_arc_constraints(solution, stages)
     except KeyboardInterrupt:
         return stages.build_interrupted_result(solution)
     stages.problem = solution.need_problem("refine")
@@ -104,7 +104,7 @@ def run_refinement_stages(
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 
-def _remove_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
+def _remove_arc_constraints(solution: Solution, stages: StagedRefinement) -> Solution:
     """Return the solution, on the same mesh, of the problem without fixed arcs, which belong to one mesh."""
     problem = solution.need_problem("refine")
     held = [name for name, phase in problem.phases.items() if phase.numbers.arcs is not None]

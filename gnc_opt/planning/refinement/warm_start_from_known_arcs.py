@@ -20,7 +20,10 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures, detect_phase_structure
+from gnc_opt.planning.refinement.arcs.structure_detection import (
+    detect_arc_structures,
+    detect_control_structure,
+)
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
@@ -68,7 +71,7 @@ class KnownSwitches:
         if not solution.structure or len(solution.phases) != 1 or not bounded:
             return None
         (s,) = solution.samples().values()
-        structure = detect_phase_structure(s).replace_arcs(solution.structure, s.leg)
+        structure = detect_control_structure(s).replace_arcs(solution.structure, s.leg)
         return cls(replace(solution, structure=()), structure, s.state_scale)
 
     def with_newton_step(self) -> KnownSwitches | None:
@@ -211,7 +214,7 @@ class KnownArcs:
         return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 
 
-def restore_first_stage_meshes(known: Solution) -> dict[str, Mesh]:
+def restore_initial_refinement_meshes(known: Solution) -> dict[str, Mesh]:
     """Return the meshes of the first stage of a refinement; the default meshes if only its arcs or meshes are known."""
     passes = () if known.history is None else known.history.passes
     meshes = next((p.meshes for p in passes if p.stage == FIRST), None)

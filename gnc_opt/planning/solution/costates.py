@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_interpolation_matrix
 
 
 def correct_constraint_arc_costates(
@@ -235,7 +235,10 @@ class PhaseCostates:
         for k, rule in enumerate(self.collocation.collocation_rules):
             here = _get_segment_point_slice(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
-            change = self.lam[:, here] @ build_lagrange_matrix(rule.points, [1.0])[0] - self.end[:, k]
+            change = (
+                self.lam[:, here] @ build_lagrange_interpolation_matrix(rule.points, [1.0])[0]
+                - self.end[:, k]
+            )
             change = np.where(rows, change, 0.0)
             densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
             # The state is nearly constant on a segment with a touch point too; there the correction would reverse the
@@ -262,7 +265,7 @@ class PhaseCostates:
             half = 0.5 * (breaks[k + 1] - breaks[k])
             path = rule.build_integration_matrix(rule.state_nodes)
             integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
-            through = self.lam[:, here] @ build_lagrange_matrix(rule.points, rule.state_nodes).T
+            through = self.lam[:, here] @ build_lagrange_interpolation_matrix(rule.points, rule.state_nodes).T
             if not collocation.family.ends_at_point:
                 through[:, -1] = self.end[:, k]
             nodes.append(rule.state_nodes)

@@ -296,7 +296,7 @@ class Worst:
     value: float
     where: str
 
-    def select_larger(self, other: Worst) -> Worst:
+    def select_larger_violation(self, other: Worst) -> Worst:
         """Return the larger one; NaN counts as larger."""
         return self if np.isnan(self.value) or other.value <= self.value else other
 
@@ -333,7 +333,7 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     return Worst.find_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
 
 
-def compute_terminal_error(samples: PhaseSamples) -> float:
+def compute_final_propagation_error(samples: PhaseSamples) -> float:
     """Return the largest propagation error of the applied control, relative to `state_scale`."""
     run = integrate_dynamics(samples.leg, samples.functions)
     return float(np.max(np.abs(run.error) / samples.state_scale))

@@ -128,13 +128,13 @@ def _copy_phase_guess_to_nlp_point(
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
 
-    def sample_inside_segments(signal: Callable[[Array, Side], Array]) -> Array:
+    def sample_signal_inside_segments(signal: Callable[[Array, Side], Array]) -> Array:
         return np.where(at_end, signal(points, "left"), signal(points, "right"))
 
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample_inside_segments(old.applied.evaluate_clipped_polynomial)
+    x[collocation.point_controls] = sample_signal_inside_segments(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
     times = breaks[list(collocation.mesh.arc_breaks)]
     x[part.times[free_times]] = times[free_times]
@@ -144,12 +144,12 @@ def _copy_phase_guess_to_nlp_point(
     weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arc_indices]
     known = slice(None) if collocation.mesh == old.mesh else [0, -1]
     lam_x[collocation.boundary_states[:, known]] = old.state_impulses[:, known]
-    np.add.at(lam_x, collocation.point_states, sample_inside_segments(old.state_multiplier) * weights)
-    lam_x[collocation.point_controls] = sample_inside_segments(old.control_multiplier) * weights
+    np.add.at(lam_x, collocation.point_states, sample_signal_inside_segments(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample_signal_inside_segments(old.control_multiplier) * weights
     if old.path_labels:
-        lam_g[collocation.path_rows] = sample_inside_segments(old.path_multiplier) * weights
+        lam_g[collocation.path_rows] = sample_signal_inside_segments(old.path_multiplier) * weights
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
-    costates = old.point_costates if same else sample_inside_segments(old.lam)
+    costates = old.point_costates if same else sample_signal_inside_segments(old.lam)
     multipliers = invert_costate_map(collocation, costates, old.lam(breaks[1:], "left"))
     for rows, values in zip(collocation.dynamics_rows, multipliers, strict=True):
         lam_g[rows] = values

@@ -251,7 +251,9 @@ class PhaseSolution:
                 return Signal(name, variable.unit, variable.labels, value, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        wrapped = source if self.turns is None else partial(_evaluate_wrapped_angles, self.turns, source)
+        wrapped = (
+            source if self.turns is None else partial(_evaluate_wrapped_angle_controls, self.turns, source)
+        )
         return self._build_state_or_control_signal(name, self.controls, wrapped)
 
     def _build_state_or_control_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
@@ -336,5 +338,7 @@ def _evaluate_control_composed_of_parts(
     return np.asarray(control.compose_control_from_parts(*parts))
 
 
-def _evaluate_wrapped_angles(turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side) -> Array:
+def _evaluate_wrapped_angle_controls(
+    turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side
+) -> Array:
     return turns.wrap_angles(source(t, side))

@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     CollocationRule,
-    build_derivative_matrix,
+    build_differentiation_matrix,
     compute_barycentric_weights,
     interpolate_barycentric,
 )
@@ -52,7 +52,7 @@ class PiecewisePolynomial:
         frozen = {id(x): _make_read_only_copy(x) for x in self.nodes}  # most segments share their nodes
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(_make_read_only_copy(v) for v in self.values))
-        _check_break_times(self.breaks)
+        _check_mesh_break_times(self.breaks)
         _check_polynomial_nodes_and_values(self.breaks.size - 1, self.nodes, self.values)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -78,7 +78,9 @@ class PiecewisePolynomial:
         at = np.atleast_1d(read_float_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         groups = zip(
-            _group_equal_nodes(self._breaks_and_nodes[1]), self._segment_values_by_node_group, strict=True
+            _group_segments_by_equal_nodes(self._breaks_and_nodes[1]),
+            self._segment_values_by_node_group,
+            strict=True,
         )
         for (nodes, weights, places), values in groups:
             basis = interpolate_barycentric(nodes, weights, at)
@@ -88,7 +90,9 @@ class PiecewisePolynomial:
     def derivative(self) -> PiecewisePolynomial:
         """Return the time derivative, on the same nodes; per second."""
         rates = 2.0 / np.diff(self.breaks)
-        matrices = {id(x): build_derivative_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()}
+        matrices = {
+            id(x): build_differentiation_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()
+        }
         pieces = zip(self.nodes, self.values, rates, strict=True)
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)
@@ -121,7 +125,8 @@ class PiecewisePolynomial:
     def _segment_values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
         groups = [
-            np.flatnonzero(places >= 0) for _, _, places in _group_equal_nodes(self._breaks_and_nodes[1])
+            np.flatnonzero(places >= 0)
+            for _, _, places in _group_segments_by_equal_nodes(self._breaks_and_nodes[1])
         ]
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
@@ -131,7 +136,7 @@ _LagrangeBasis: TypeAlias = tuple[int, Indices, Indices, Array]
 
 
 @lru_cache(maxsize=CACHED_BASES)
-def _group_equal_nodes(nodes: tuple[bytes, ...]) -> tuple[tuple[Array, Array, Indices], ...]:
+def _group_segments_by_equal_nodes(nodes: tuple[bytes, ...]) -> tuple[tuple[Array, Array, Indices], ...]:
     """Return nodes, their barycentric weights, and the index of each segment in each group of equal nodes, else -1."""
     groups: dict[bytes, list[int]] = {}
     for k, x in enumerate(nodes):
@@ -152,7 +157,7 @@ def _build_interpolation_bases(
     segment = edges[1:-1].searchsorted(times, side)
     initial, final = edges[segment], edges[segment + 1]
     tau = ((times - initial) - (final - times)) / (final - initial)
-    for group, (own, weights, places) in enumerate(_group_equal_nodes(nodes)):
+    for group, (own, weights, places) in enumerate(_group_segments_by_equal_nodes(nodes)):
         here = np.flatnonzero(places[segment] >= 0)
         if here.size:
             basis = interpolate_barycentric(own, weights, tau[here])
@@ -163,7 +168,7 @@ def _build_interpolation_bases(
 _get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_bases)
 
 
-def _check_break_times(breaks: Array) -> None:
+def _check_mesh_break_times(breaks: Array) -> None:
     vector = breaks.ndim == 1 and breaks.size > 1
     if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
         raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")

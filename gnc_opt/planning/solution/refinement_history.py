@@ -87,7 +87,7 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
 
 
-def compute_solve_work(size: int, iterations: int) -> float:
+def compute_work_of_nlp_solve(size: int, iterations: int) -> float:
     """Return the work of a solve: iterations times points, or times variables at points; independent of the machine."""
     return size * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
@@ -141,7 +141,7 @@ class RefinementIteration:
     @property
     def work(self) -> float:
         """Work, in iterations at one collocation point."""
-        return compute_solve_work(self.n_points, self.iterations)
+        return compute_work_of_nlp_solve(self.n_points, self.iterations)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.defects_and_violations import (
     integrate_states_to_times,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_interpolation_matrix
 
 UNCANCELLED_SHARE = 0.25
 """Smallest share of the decreases of H in a segment that remains in the estimate; without it, the estimate is down to
@@ -222,7 +222,7 @@ def measure_solution_accuracy(
 ) -> Accuracy:
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
-        defect = defect.select_larger(find_worst_defect(s))
+        defect = defect.select_larger_violation(find_worst_defect(s))
         phase, pieces = s.leg, _sample_between_control_jumps(s)
         pairs = zip(phase.states.labels, phase.states.units, strict=True)
         labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]
@@ -277,7 +277,7 @@ def _find_limit_violation(
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
     tau = np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)
-    curve = np.append(piece, build_lagrange_matrix(PIECE_POINTS, tau) @ piece)
+    curve = np.append(piece, build_lagrange_interpolation_matrix(PIECE_POINTS, tau) @ piece)
     beyond = np.maximum(box.lower[i] - curve, curve - box.upper[i])
     peak = float(np.max(beyond, where=np.isfinite(curve), initial=-np.inf))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):

@@ -189,7 +189,7 @@ def _build_phase_solution(
     without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
     push = gradient - without_pure
     costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, push)
-    aligned = _align_directions_with_primer(phase, functions, times, x, u, lam)
+    aligned = _align_directions_with_primer_vector(phase, functions, times, x, u, lam)
     found = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
@@ -217,7 +217,7 @@ def _build_phase_solution(
     return correct_constraint_arc_costates(found, phase.numbers.arcs, functions)
 
 
-def _align_directions_with_primer(
+def _align_directions_with_primer_vector(
     phase: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""

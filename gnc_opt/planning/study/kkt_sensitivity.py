@@ -139,7 +139,8 @@ def _compute_problem_data_difference(
     row_lower = subtract_finite_entries(rows.lower, new_rows.lower)
     row_upper = subtract_finite_entries(rows.upper, new_rows.upper)
     return DataPerturbation(
-        transcription.stack_problem_data(new) - transcription.stack_problem_data(old),
+        transcription.stack_model_parameters_and_fixed_times(new)
+        - transcription.stack_model_parameters_and_fixed_times(old),
         np.where(lower != 0, lower, upper),
         np.where(row_lower != 0, row_lower, row_upper),
     )

@@ -22,11 +22,14 @@ from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_sim
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.random_guess import is_guess_shape_kept, with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import does_start_keep_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
-from gnc_opt.planning.solution.defects_and_violations import compute_terminal_error, find_worst_defect
+from gnc_opt.planning.solution.defects_and_violations import (
+    compute_final_propagation_error,
+    find_worst_defect,
+)
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, list_distinct_minima
@@ -81,7 +84,9 @@ def _halve_mesh_segments(mesh: Mesh) -> Mesh:
 def is_spurious_collocation_solution(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
     samples = solution.samples().values()
-    return any(not (find_worst_defect(s).value < MISS or compute_terminal_error(s) < MISS) for s in samples)
+    return any(
+        not (find_worst_defect(s).value < MISS or compute_final_propagation_error(s) < MISS) for s in samples
+    )
 
 
 def raise_keyboard_interrupt_of_solver(solution: Solution, options: SolverOptions) -> None:
@@ -431,7 +436,9 @@ class _CoarseTask:
     def __call__(self, problem: Problem, index: int) -> _StartResult:
         options = self.options
         if index and options.mu_init is None:
-            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if is_guess_shape_kept(index) else None
+            small = (
+                NEAR_BARRIER if index % 2 else PLAIN_BARRIER if does_start_keep_guess_shape(index) else None
+            )
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None

@@ -284,7 +284,7 @@ def _list_problem_data_perturbations(
 def _create_zero_data_perturbation(program: ProgramPoint) -> DataPerturbation:
     transcription = program.transcription
     return DataPerturbation(
-        np.zeros(transcription.stack_problem_data(program.problem).size),
+        np.zeros(transcription.stack_model_parameters_and_fixed_times(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )

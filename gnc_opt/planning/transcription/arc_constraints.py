@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.redundant_bounds import (
     relax_state_bounds,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_interpolation_matrix
 
 
 def check_number_of_arc_segments(phase: Phase, collocation: PhaseCollocation) -> None:
@@ -183,7 +183,7 @@ def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction)
     points = slice(*collocation.mesh.point_offsets[segment : segment + 2])
     rule = collocation.collocation_rules[segment]
     return JunctionControls(
-        places[:, points], build_lagrange_matrix(rule.points, [-float(junction.tangent)])[0]
+        places[:, points], build_lagrange_interpolation_matrix(rule.points, [-float(junction.tangent)])[0]
     )
 
 

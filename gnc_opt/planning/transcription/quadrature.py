@@ -85,13 +85,13 @@ def compute_barycentric_weights(nodes: ArrayLike) -> Array:
     return _compute_barycentric_weights(_read_float_vector(nodes).tobytes())
 
 
-def build_derivative_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+def build_differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Return the map from values on ``nodes`` to the interpolant's derivative at ``at``, (len(at), len(nodes))."""
     x, w = _read_float_vector(nodes), compute_barycentric_weights(nodes)
-    return np.asarray(build_lagrange_matrix(x, at) @ _build_square_differentiation_matrix(x, w))
+    return np.asarray(build_lagrange_interpolation_matrix(x, at) @ _build_square_differentiation_matrix(x, w))
 
 
-def build_lagrange_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+def build_lagrange_interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Return the map from values on ``nodes`` to their interpolant at ``at``, shape (len(at), len(nodes))."""
     return interpolate_barycentric(
         _read_float_vector(nodes), compute_barycentric_weights(nodes), _read_float_vector(at)
@@ -99,7 +99,7 @@ def build_lagrange_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
 
 
 def interpolate_barycentric(x: Array, w: Array, at: Array) -> Array:
-    """Return `build_lagrange_matrix` for validated nodes and abscissae, and barycentric weights."""
+    """Return `build_lagrange_interpolation_matrix` for validated nodes and abscissae, and barycentric weights."""
     gap = at[:, None] - x
     nearest = np.min(np.abs(gap), axis=1, keepdims=True)
     hit = gap == 0

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import (
     choose_magnitudes_from_bounds,
-    estimate_phase_magnitudes,
+    estimate_state_and_control_magnitudes,
 )
 from gnc_opt.planning.transcription.transcription import Transcription
 
@@ -44,7 +44,7 @@ def choose_variable_scales(
     """Return the typical magnitudes of the variables, shape (n_variables,), optionally overridden by the user."""
     scales = np.ones(transcription.n_variables)
     for name, part in transcription.parts.items():
-        states, controls = estimate_phase_magnitudes(problem.phases[name], overridden=overridden)
+        states, controls = estimate_state_and_control_magnitudes(problem.phases[name], overridden=overridden)
         collocation = part.collocation
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]

@@ -212,7 +212,9 @@ class Transcription(NlpLayout):
         ]
         variables = np.concatenate([*places, self.parameter_places, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
-        function = self.problem.memoize(("end rows", *arcs, *self._durations), self._build_boundary_function)
+        function = self.problem.memoize(
+            ("end rows", *arcs, *self._durations), self._build_boundary_constraint_function
+        )
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
@@ -220,7 +222,7 @@ class Transcription(NlpLayout):
         data = ca.vertcat(*self._nlp_parameter_symbols.models.values())
         return PointTerm(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _build_boundary_function(self) -> PointFunction:
+    def _build_boundary_constraint_function(self) -> PointFunction:
         """Return the function of the end block for a given number of movable breaks."""
         phases = self.problem.phases.values()
         arguments: list[Any] = []
@@ -323,7 +325,7 @@ class Transcription(NlpLayout):
 
     # --- numbers ----------------------------------------------------------------------------------
 
-    def stack_problem_data(self, problem: Problem) -> Array:
+    def stack_model_parameters_and_fixed_times(self, problem: Problem) -> Array:
         """Return the model parameters and fixed times of a problem."""
         models = [phase.model.parameter_values for phase in problem.phases.values()]
         return np.concatenate([*models, self.list_fixed_phase_times(problem)])
@@ -332,7 +334,9 @@ class Transcription(NlpLayout):
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
     ) -> Array:
         """Return the parameters of the program: model parameters, fixed times and scales."""
-        return np.concatenate([self.stack_problem_data(problem), scales, row_scales, [objective_scale]])
+        return np.concatenate(
+            [self.stack_model_parameters_and_fixed_times(problem), scales, row_scales, [objective_scale]]
+        )
 
     def list_fixed_phase_times(self, problem: Problem) -> Array:
         """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""

@@ -53,14 +53,14 @@ def compute_touch_point_lagrangian(
     )
     values = shifted.evaluate_constraints(t, x, after)
     near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
-    active = [int(i) for i in np.flatnonzero(near) if rows.get_contact_order(int(i))]
+    active = [int(i) for i in np.flatnonzero(near) if rows.get_order_of_constraint_contact(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
     multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale, rcond=None)[0]
     terms = (jump - multipliers @ gradients) @ moved
     for i, eta in zip(active, multipliers, strict=True):
         terms += eta * (values[i] - values[i, -1])
-        if rows.get_contact_order(i) < 2:
+        if rows.get_order_of_constraint_contact(i) < 2:
             continue
         slope = shifted.evaluate_time_derivative(i, 1, t, x, after)
         slope -= slope[-1]

@@ -49,7 +49,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import differentiate_augmented_hamiltonian
 from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
+from gnc_opt.planning.verification.goh_transformation import mask_zero_hamiltonian_curvature
 from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 MOST_ORDERS = 120
@@ -138,7 +138,7 @@ def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
     slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.is_at_control_bounds, axis=0)
-    affine = np.all(mask_zero_curvature(s), axis=1) | np.all(on_bound, axis=1)
+    affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])

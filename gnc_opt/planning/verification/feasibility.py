@@ -53,7 +53,7 @@ LAYER_STEPS = 512
 """Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
 
 
-def check_tolerance(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def check_value_within_tolerance(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return a condition: PASS if the value is within the tolerance, else FAIL (also for NaN)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
@@ -77,8 +77,8 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
     worst = NOTHING
     for s in samples:
-        worst = worst.select_larger(_find_worst_defect(s, scales, tolerance))
-    return check_tolerance(
+        worst = worst.select_larger_violation(_find_worst_defect(s, scales, tolerance))
+    return check_value_within_tolerance(
         "dynamics",
         worst,
         tolerance,
@@ -130,7 +130,9 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
         k = int(np.argmax(price))
-        worst = worst.select_larger(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
+        worst = worst.select_larger_violation(
+            Worst(float(price[k]), s.describe_segment(k, "effect on the cost"))
+        )
     return worst
 
 
@@ -145,14 +147,14 @@ def check_trajectory_limits(
         values, box, scales.parameters, labels, solution.free_parameters.units
     )
     for s in samples:
-        worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
+        worst = worst.select_larger_violation(_find_control_violation(s, scales)).select_larger_violation(
             _find_state_violation(s, scales)
         )
         if s.leg.path_labels:
             for at in (s, s.resample_at_even_times(SCANNED_PATHS)):
-                worst = worst.select_larger(_find_path_violation(s, at, scales))
-            worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
-    return check_tolerance(
+                worst = worst.select_larger_violation(_find_path_violation(s, at, scales))
+            worst = worst.select_larger_violation(_find_costliest_path_constraint_violation(s, scales))
+    return check_value_within_tolerance(
         "limits",
         worst,
         tolerance,
@@ -247,7 +249,10 @@ def check_table_ranges(solution: Solution) -> Condition:
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst, refused = worst.select_larger(Worst(beyond, str(out))), refused or out.table.outside == "error"
+        worst, refused = (
+            worst.select_larger_violation(Worst(beyond, str(out))),
+            refused or out.table.outside == "error",
+        )
     result = combine_condition_results(not worst.value, refused)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
@@ -268,14 +273,14 @@ def check_boundary_conditions(
             ("end", phase.x(phase.breaks[-1], "left"), phase.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in phase.states.labels]
-            worst = worst.select_larger(
+            worst = worst.select_larger_violation(
                 _find_largest_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
             )
         times = np.array([phase.initial_time, phase.final_time, phase.duration])
         bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_larger(
+        worst = worst.select_larger_violation(
             _find_largest_bound_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
         )
         # Times in the cost and the constraints must equal the start and end of the trajectory.
@@ -283,11 +288,11 @@ def check_boundary_conditions(
         gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_larger(
+        worst = worst.select_larger_violation(
             _find_largest_bound_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2)
         )
-    worst = worst.select_larger(_find_boundary_violation(solution, ends, scales))
-    return check_tolerance(
+    worst = worst.select_larger_violation(_find_boundary_violation(solution, ends, scales))
+    return check_value_within_tolerance(
         "boundary conditions",
         worst,
         tolerance,
@@ -363,8 +368,10 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__))
-    return check_tolerance(
+            worst = worst.select_larger_violation(
+                Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__)
+            )
+    return check_value_within_tolerance(
         "cost",
         worst,
         tolerance,

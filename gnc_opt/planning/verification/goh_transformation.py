@@ -39,7 +39,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.quadrature import (
-    build_derivative_matrix,
+    build_differentiation_matrix,
     get_collocation_points,
     get_quadrature_weights,
 )
@@ -59,7 +59,7 @@ OMITTED = 2
 _RADAU = ((get_collocation_points, -1.0), (get_quadrature_weights, 1.0))
 
 
-def mask_zero_curvature(s: PhaseSamples) -> Mask:
+def mask_zero_hamiltonian_curvature(s: PhaseSamples) -> Mask:
     """Return where H has no positive curvature in a control (n_controls, n_samples)."""
     # A control at zero has the scale of its possible effect on the trajectory.
     unit = np.maximum(s.control_scale, s.control_span)
@@ -71,7 +71,7 @@ def mask_zero_curvature(s: PhaseSamples) -> Mask:
 def mask_singular_samples(s: PhaseSamples) -> Mask:
     """Return where a control is interior, without curvature of H and not determined by active constraints (m, n)."""
     inside: Mask = ~np.any(s.is_at_control_bounds, axis=0)
-    singular = mask_zero_curvature(s) & inside & ~s.inactive_controls
+    singular = mask_zero_hamiltonian_curvature(s) & inside & ~s.inactive_controls
     if not np.any(singular):
         return singular
     bases = compute_free_control_directions(s, inside, s.control_span)
@@ -251,7 +251,7 @@ def _build_integrated_control_variations(
     for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
         # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
-        slopes = build_derivative_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
+        slopes = build_differentiation_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
         slopes = 2 / mesh.segment_widths[k] * slopes[:, int(count == 0) :]

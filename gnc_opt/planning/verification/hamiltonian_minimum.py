@@ -90,7 +90,9 @@ def compute_joint_hamiltonian_decreases(
             gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            nearby = search.minimise_by_newton(search._normalised_controls, np.arange(search.chosen.size))[0]
+            nearby = search.minimise_hamiltonian_by_newton(
+                search._normalised_controls, np.arange(search.chosen.size)
+            )[0]
             gains.append(search.average_hamiltonian_decrease(nearby))
     return gains, searched
 
@@ -255,7 +257,7 @@ class _MinimumSearch:
         shares, at, value, first, best = self._sample_trial_controls()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
-        lowest, low = self.minimise_by_newton(
+        lowest, low = self.minimise_hamiltonian_by_newton(
             np.concatenate([shares[:, starts], self._normalised_controls[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
@@ -301,7 +303,7 @@ class _MinimumSearch:
             [self._normalised_controls, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
         )
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
-        return self.minimise_by_newton(trials[lowest, :, every].T, every)[0]
+        return self.minimise_hamiltonian_by_newton(trials[lowest, :, every].T, every)[0]
 
     def average_hamiltonian_decrease(self, better: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
@@ -339,7 +341,7 @@ class _MinimumSearch:
             np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CHEAP_CURVED * self.cost_rate)
         )
 
-    def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+    def minimise_hamiltonian_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""
         shares = self._project_onto_path_constraints(shares.copy(), at)
         value = self.evaluate_hamiltonian(shares, at)

@@ -20,20 +20,20 @@ from gnc_opt.planning.optimality.active_state_constraints import (
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
-    find_sustained_minimum_sample,
+    find_lasting_minimum_sample,
     remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
     Scales,
-    has_cost_curvature,
+    mask_controls_with_cost_curvature,
 )
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
+from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, combine_condition_results
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -62,7 +62,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         miss = _compute_control_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
-        clear = np.isfinite(miss) & (miss > NOTABLE) & has_cost_curvature(s)[:, None]
+        clear = np.isfinite(miss) & (miss > NOTABLE) & mask_controls_with_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
+        worst = worst.select_larger_violation(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,7 +93,9 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, gain, "switching function of "))
+        worst = worst.select_larger_violation(
+            _locate_largest_hamiltonian_decrease(s, gain, "switching function of ")
+        )
     return worst
 
 
@@ -129,13 +131,13 @@ def check_minimum_principle(
     for s in samples:
         if s.leg.controls.size:
             gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
-            worst, searched, loss = worst.select_larger(gain), searched or here, loss + lost
+            worst, searched, loss = worst.select_larger_violation(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "
             "controls per phase; the search may miss a narrow minimum."
         )
-    found = check_tolerance("minimum principle", worst, tolerance, meaning)
+    found = check_value_within_tolerance("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -234,7 +236,7 @@ def _find_least_control_hessian_eigenvalue(s: PhaseSamples, among: Mask) -> tupl
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
         least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
-    j = find_sustained_minimum_sample(s.times, least)
+    j = find_lasting_minimum_sample(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 

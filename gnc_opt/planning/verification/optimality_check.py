@@ -22,7 +22,7 @@ from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification.costate_conditions import impose_constraints_active_at_ends
-from gnc_opt.planning.verification.feasibility import check_tolerance
+from gnc_opt.planning.verification.feasibility import check_value_within_tolerance
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.nonsmooth_points import (
     check_concave_kinks,
@@ -140,7 +140,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     samples = [s.with_cost_scale(amount, choose_cell_edges_at_narrow_features(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
-    kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
+    kept = missing.select_larger_violation(compare_costates(samples) if with_costates else NOTHING)
     limits = [feasibility.check_trajectory_limits(solution, samples, scales, tol)]
     along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
@@ -200,16 +200,16 @@ def _check_first_order_conditions(
     lasting = [s for s in samples if s.has_duration]
     gradient = (
         costates.check_adjoint_equation(lasting, scales, tol)
-        .select_larger(costates.check_transversality(lasting, ends, scales))
-        .select_larger(controls.check_control_stationarity(lasting, scales, tol))
-        .select_larger(costates.check_parameter_stationarity(solution, samples, ends, scales))
+        .select_larger_violation(costates.check_transversality(lasting, ends, scales))
+        .select_larger_violation(controls.check_control_stationarity(lasting, scales, tol))
+        .select_larger_violation(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.check_switching_signs(lasting, scales).select_larger(
+    active = controls.check_switching_signs(lasting, scales).select_larger_violation(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        check_tolerance("stationarity", gradient, tol, _STATIONARITY),
-        check_tolerance("active set", active, tol, _ACTIVE_SET),
+        check_value_within_tolerance("stationarity", gradient, tol, _STATIONARITY),
+        check_value_within_tolerance("active set", active, tol, _ACTIVE_SET),
         controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 

@@ -56,7 +56,7 @@ from gnc_opt.planning.verification.goh_transformation import (
     find_cost_reducing_final_pulse,
     mask_singular_samples,
     mask_singular_segments,
-    mask_zero_curvature,
+    mask_zero_hamiltonian_curvature,
     refine_mesh_at_singular_arc_ends,
     transform_to_goh_variables,
 )
@@ -232,7 +232,7 @@ def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
     """Return a control that reaches both bounds without curvature of H and whose switching times are not variables."""
     for s in samples:
         lower, upper = s.is_at_control_bounds
-        open_to_both = mask_zero_curvature(s)
+        open_to_both = mask_zero_hamiltonian_curvature(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
             s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]
         )

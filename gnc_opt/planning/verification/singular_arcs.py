@@ -118,7 +118,7 @@ def _analyse_singular_arc(
         return arc(least=least, why=COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
-        function = derivatives.differentiate_by_controls(j)
+        function = derivatives.differentiate_switching_function_by_controls(j)
         if function is None:
             return arc(why=f"{TOO_LARGE} {j}")
         matrices = _evaluate_scaled_control_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
@@ -185,7 +185,7 @@ class SwitchingFunctionDerivatives:
             self._rates = ca.vertcat(self._rates, -ca.solve(ca.jacobian(slope, determined), drift))
             self._along = ca.vertcat(self._along, determined)
 
-    def differentiate_by_controls(self, j: int) -> Callable[..., Any] | None:
+    def differentiate_switching_function_by_controls(self, j: int) -> Callable[..., Any] | None:
         """Return the derivative of the j-th time derivative in the controls, by rows; None if it is too large."""
         if j not in self._functions:
             matrix = ca.vec(ca.densify(ca.jacobian(self._differentiate_switching_functions(j), self._own)).T)

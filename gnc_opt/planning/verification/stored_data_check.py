@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data_to_solution
-from gnc_opt.planning.verification.feasibility import check_tolerance, integrate_cost_terms
+from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, integrate_cost_terms
 
 _EXACT = (
     "parameters",
@@ -82,7 +82,9 @@ def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an infinite violation, or zero; without costates, of others."""
     worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, phase in stored.phases.items():
-        worst = worst.select_larger(_find_first_nonfinite_value(phase, f"phase {name}, ", with_costates))
+        worst = worst.select_larger_violation(
+            _find_first_nonfinite_value(phase, f"phase {name}, ", with_costates)
+        )
     return worst
 
 
@@ -94,7 +96,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.select_larger(
+        worst = worst.select_larger_violation(
             Worst(np.inf, "the problem and the solution optimise in opposite directions")
         )
     for name, phase in checked.phases.items():
@@ -104,7 +106,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return check_tolerance(
+    return check_value_within_tolerance(
         "stored numbers",
         worst,
         tolerance,
@@ -132,7 +134,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
             off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
             i, k = np.unravel_index(np.argmax(off), off.shape)
             place = f"phase {phase.name}, {phase.states.labels[i]}, costate at {what} {k + 1}"
-            worst = worst.select_larger(Worst(float(off[i, k]), place))
+            worst = worst.select_larger_violation(Worst(float(off[i, k]), place))
     return worst
 
 

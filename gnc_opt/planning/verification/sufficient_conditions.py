@@ -47,7 +47,7 @@ from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import (
-    build_boundary_function,
+    build_endpoint_expression_function,
     build_function_along_phase,
     substitute_parameters,
 )
@@ -222,7 +222,7 @@ def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence
             for given in (phase.numbers.initial, phase.numbers.final)
         ]
         boxes += [*ends, *phase.time_ranges(), _bound_phase_integrals(problem, phase, q), p]
-    function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
+    function = build_endpoint_expression_function(problem, "of_ends", ca.vertcat(*expressions))
     return bound_function_values(function, [*boxes, q]).lower
 
 

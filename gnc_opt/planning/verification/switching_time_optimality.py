@@ -96,10 +96,10 @@ def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Ju
             if all(_is_control_at_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
-    return [replace(jump, shorter_arc=_compute_adjacent_arc_length(jump, jumps, ends)) for jump in jumps]
+    return [replace(jump, shorter_arc=_compute_adjacent_arc_duration(jump, jumps, ends)) for jump in jumps]
 
 
-def _compute_adjacent_arc_length(
+def _compute_adjacent_arc_duration(
     jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[float, float]]
 ) -> float:
     limits = ends[jump.phase][0], ends[jump.beyond or jump.phase][1]

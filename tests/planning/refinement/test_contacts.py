@@ -249,8 +249,8 @@ def test_touches_stay_with_their_times() -> None:
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
     assert held.has_only_control_kinks(1) and held.has_only_control_kinks(2)
     assert held.replace_subarc_by_touch(1).list_touch_times(1, UP) == [1.25, 3.0]
-    assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
-    assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    assert held.mask_constraints_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
+    assert held.mask_constraints_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     np.testing.assert_array_equal(
         held.is_at_limit(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],

@@ -27,8 +27,8 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
 from gnc_opt.planning.problem.guess.random_guess import (
+    does_start_keep_guess_shape,
     find_periods_of_angular_states,
-    is_guess_shape_kept,
     with_random_guess,
 )
 from gnc_opt.planning.study.multistart_search import (
@@ -196,7 +196,7 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     ends = [
         np.ravel(with_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
         for k in range(1, 200)
-        if is_guess_shape_kept(k)
+        if does_start_keep_guess_shape(k)
     ]
     turns = (np.array(ends) - 9.0) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
@@ -209,7 +209,7 @@ def test_a_free_initial_angle_is_drawn_from_the_revolution_about_its_guess() -> 
     """The guess is 0: the draws fill its revolution within the bounds, from -1 rad on, and the angle ends in them."""
     drawn = [with_random_guess(spiral(None, (-9.0, 9.0)), 0, k).get_phase() for k in range(1, 300)]
     angles = np.array([leg.numbers.guess.values["angle"].ravel()[[0, -1]] for leg in drawn])
-    kept = angles[[is_guess_shape_kept(k) for k in range(1, 300)]]
+    kept = angles[[does_start_keep_guess_shape(k) for k in range(1, 300)]]
     assert -1.0 <= np.min(kept[:, 0]) < -0.9 and 3.0 < np.max(kept[:, 0]) <= np.pi
     assert np.mean(kept[:, 0] > 1.0) == pytest.approx((np.pi - 1.0) / (2 * np.pi), abs=0.1)
     assert np.min(kept[:, 1]) >= -1.0 and np.max(kept[:, 1]) <= 40.0

@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import brentq
 from testing.constructed_solutions import cart as constructed_cart
 from testing.constructed_solutions import costates, interval, phase, solution
-from testing.internals import ArcMesh, Interval, PhaseStructure, Scheme, Switches, detect_phase_structure
+from testing.internals import ArcMesh, Interval, PhaseStructure, Scheme, Switches, detect_control_structure
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -109,7 +109,7 @@ def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
     found, _ = find_optimal_switching_times(
-        solution, detect_phase_structure(solution.samples()["leg"])
+        solution, detect_control_structure(solution.samples()["leg"])
     ) or pytest.fail("does not settle")
     inner = found.times[1:-1]
     assert len(inner) > 1 and np.diff(inner) == pytest.approx(np.full(len(inner) - 1, np.pi), abs=1e-6)
@@ -119,7 +119,7 @@ def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
     solution = go.solve(build(case=1), mesh="10x3", tol=None)
     found, _ = find_optimal_switching_times(
-        solution, detect_phase_structure(solution.samples()["approach"])
+        solution, detect_control_structure(solution.samples()["approach"])
     ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
@@ -494,7 +494,7 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution() -> None:
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
-    structure, flight = find_optimal_switching_times(solution, detect_phase_structure(s)) or pytest.fail(
+    structure, flight = find_optimal_switching_times(solution, detect_control_structure(s)) or pytest.fail(
         "does not settle"
     )
     assert float(np.min(flight.states[1])) == pytest.approx(-4.04, abs=1e-3)

@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownArcs,
     KnownSwitches,
-    restore_first_stage_meshes,
+    restore_initial_refinement_meshes,
 )
 from gnc_opt.planning.solution.phase_solution import truncate_phase_to_start_time
 
@@ -236,7 +236,7 @@ def test_meshes_of_arcs_are_no_first_meshes(limited: Resolver) -> None:
     bent = {"leg": go.Mesh((0.0, 0.1, 0.5, 1.0), (6, 9, 6))}
     passes = tuple(replace(p, stage="nearby", meshes=bent) for p in known.history.passes)
     nearby = replace(known, history=replace(known.history, passes=passes))
-    assert restore_first_stage_meshes(nearby) == {"leg": go.Mesh.uniform(20, 4)}
+    assert restore_initial_refinement_meshes(nearby) == {"leg": go.Mesh.uniform(20, 4)}
 
 
 @pytest.mark.parametrize("tol", [{}, {"tol": 1e-6}])

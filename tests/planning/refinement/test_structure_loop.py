@@ -19,7 +19,7 @@ from testing.internals import (
     PhaseStructure,
     SmoothControl,
     SubarcMesh,
-    detect_phase_structure,
+    detect_control_structure,
 )
 from testing.models import dynamics, one_phase
 
@@ -159,7 +159,7 @@ def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
 
 def test_the_structure_of_the_cart_has_all_rows() -> None:
     """A convex control within bounds, a mixed path at its limit late, a pure one, two states."""
-    found = d.detect_phase_structure(
+    found = d.detect_control_structure(
         samples(
             CART,
             paths=lambda t, k: [-1.0 + 0 * t, 0 * t],
@@ -187,7 +187,7 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
-    structure = detect_phase_structure(samples)
+    structure = detect_control_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
     assert abs(evaluate_switching_functions(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
     assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
@@ -248,7 +248,7 @@ def power_limited(unit: float) -> go.Problem:
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
-    found = detect_phase_structure(first.samples()["leg"])
+    found = detect_control_structure(first.samples()["leg"])
     assert found.arc_kind_matrix()[found.n_controls].tolist() == [FREE, UP, FREE]
     solution = go.refine(first)
     assert solution.history is not None and solution.history.converged
@@ -274,7 +274,7 @@ MESHES = ["8x4", "15x4", "40x3"]
 def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
     """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
     solution = go.solve(pursuit(*units), mesh=mesh, tol=None)
-    structure = detect_phase_structure(solution.samples()["leg"])
+    structure = detect_control_structure(solution.samples()["leg"])
     bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
     assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
     segment = 3.0 * units[2] / solution.phase().mesh.segments
@@ -285,7 +285,7 @@ def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tupl
 def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
     solution = go.solve(van_der_pol.build(), mesh=mesh, tol=None)
     (samples,) = solution.samples().values()
-    structure = detect_phase_structure(samples)
+    structure = detect_control_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
     segment = 4.0 / samples.leg.mesh.segments
     assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment

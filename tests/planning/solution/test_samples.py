@@ -18,7 +18,7 @@ from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.solution import defects_and_violations as limits
 from gnc_opt.planning.solution.defects_and_violations import (
     Limits,
-    compute_terminal_error,
+    compute_final_propagation_error,
     find_limit_violations,
     find_worst_defect,
 )
@@ -112,11 +112,11 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
 def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
     """Cut off at 5 N, the push lacks 1/24 N s on either side: v ends where it should, q short of it."""
     cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
-    found = compute_terminal_error(cut)
+    found = compute_final_propagation_error(cut)
     run = integrate_dynamics(cut.leg, cut.functions)
     assert run.states[:, -1] - [1.0, 0.0] == pytest.approx(run.error)
     assert found == pytest.approx(np.max(np.abs(run.error) / [1.0, 1.5]))
-    assert compute_terminal_error(samples(CART)) < 1e-10
+    assert compute_final_propagation_error(samples(CART)) < 1e-10
 
 
 def test_propagation_follows_the_control_from_the_initial_state() -> None:

@@ -19,8 +19,8 @@ from gnc_opt.planning.transcription.quadrature import (
     Array,
     _build_collocation_rule,
     _compute_decimal_points_and_weights,
-    build_derivative_matrix,
-    build_lagrange_matrix,
+    build_differentiation_matrix,
+    build_lagrange_interpolation_matrix,
     compute_barycentric_weights,
     get_collocation_points,
     get_collocation_rule,
@@ -299,22 +299,23 @@ def test_interpolation_and_differentiation_of_any_polynomial(case: tuple[Scheme,
     series = rng.uniform(-1, 1, nodes.size)
     at = np.concatenate([rng.uniform(-1, 1, 20), nodes, [-1.0, 1.0]])
     values, scale = legendre.legval(nodes, series), np.abs(series).sum()
-    error = build_lagrange_matrix(nodes, at) @ values - legendre.legval(at, series)
+    error = build_lagrange_interpolation_matrix(nodes, at) @ values - legendre.legval(at, series)
     assert np.max(np.abs(error)) < 1e-12 * scale
-    slope_error = build_derivative_matrix(nodes, at) @ values - legendre.legval(at, legendre.legder(series))
+    slope = legendre.legval(at, legendre.legder(series))
+    slope_error = build_differentiation_matrix(nodes, at) @ values - slope
     assert np.max(np.abs(slope_error)) < 1e-12 * nodes.size**2 * scale
 
 
 def test_interpolation_is_exact_at_nodes_and_stable_beside_them() -> None:
     nodes = get_collocation_rule("LG", 7).state_nodes
-    np.testing.assert_array_equal(build_lagrange_matrix(nodes, nodes), np.eye(8))
+    np.testing.assert_array_equal(build_lagrange_interpolation_matrix(nodes, nodes), np.eye(8))
     beside = np.concatenate([np.nextafter(nodes, 2), nodes[1:] - 1e-300, [5e-324]])
-    matrix = build_lagrange_matrix(nodes, beside)
+    matrix = build_lagrange_interpolation_matrix(nodes, beside)
     assert np.all(np.isfinite(matrix))
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-14)
-    assert build_lagrange_matrix(nodes, 0.3).shape == (1, 8)
-    assert build_lagrange_matrix(nodes, []).shape == (0, 8)
-    np.testing.assert_array_equal(build_lagrange_matrix([0.2], [0.1, 0.2]), [[1.0], [1.0]])
+    assert build_lagrange_interpolation_matrix(nodes, 0.3).shape == (1, 8)
+    assert build_lagrange_interpolation_matrix(nodes, []).shape == (0, 8)
+    np.testing.assert_array_equal(build_lagrange_interpolation_matrix([0.2], [0.1, 0.2]), [[1.0], [1.0]])
 
 
 @pytest.mark.parametrize("nodes", [[], [0.0, 0.0], [0.0, np.nan], [[0.0, 1.0]]])

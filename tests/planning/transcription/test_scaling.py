@@ -13,7 +13,7 @@ from testing.internals import (
     build_nlp_point_from_guess,
     choose_row_scales,
     choose_variable_scales,
-    estimate_phase_magnitudes,
+    estimate_state_and_control_magnitudes,
 )
 from testing.models import dynamics, one_phase
 
@@ -31,21 +31,21 @@ def test_a_control_without_bounds_and_guess_is_of_order_one() -> None:
     """The perturbation of the default guess, one per cent, is no magnitude; neither is it for the states."""
     problem, leg = double_integrator()
     leg.initial(x=0.0, v=0.0)
-    states, controls = estimate_phase_magnitudes(leg)
+    states, controls = estimate_state_and_control_magnitudes(leg)
     np.testing.assert_array_equal(controls, [1.0])
     assert states[1] == pytest.approx(0.5 * 4.0)  # half of what one unit of u does in 4 s
     problem.get_phase().guess(u=(0.0, -30.0))
-    np.testing.assert_array_equal(estimate_phase_magnitudes(leg)[1], [30.0])
+    np.testing.assert_array_equal(estimate_state_and_control_magnitudes(leg)[1], [30.0])
 
 
 def test_bounds_and_user_come_first() -> None:
     _, leg = double_integrator(u=(-3.0, 2.0))
     leg.bounds(v=(-7.0, 5.0))
     leg.initial(x=2.0, v=0.0)
-    states, controls = estimate_phase_magnitudes(leg)
+    states, controls = estimate_state_and_control_magnitudes(leg)
     assert (states[1], controls[0]) == (7.0, 3.0)
     leg.scale(v=0.25, u=11.0)
-    states, controls = estimate_phase_magnitudes(leg)
+    states, controls = estimate_state_and_control_magnitudes(leg)
     assert (states[1], controls[0]) == (0.25, 11.0)
 
 
@@ -53,11 +53,11 @@ def test_a_small_guess_does_not_hide_what_the_dynamics_do() -> None:
     """v starts at 0.001 and u moves it by 4: ten times the guess is believed, which is nearer."""
     _, leg = double_integrator(u=(-2.0, 2.0))
     leg.initial(x=0.0, v=1e-3)
-    assert estimate_phase_magnitudes(leg)[0][1] == pytest.approx(UNBOUNDED_STATE_MAX_RATIO * 1e-3)
+    assert estimate_state_and_control_magnitudes(leg)[0][1] == pytest.approx(UNBOUNDED_STATE_MAX_RATIO * 1e-3)
     leg.initial(v=1.0)
-    assert estimate_phase_magnitudes(leg)[0][1] == pytest.approx(4.0)
+    assert estimate_state_and_control_magnitudes(leg)[0][1] == pytest.approx(4.0)
     leg.initial(v=50.0)
-    assert estimate_phase_magnitudes(leg)[0][1] == pytest.approx(50.0)
+    assert estimate_state_and_control_magnitudes(leg)[0][1] == pytest.approx(50.0)
 
 
 def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
@@ -69,10 +69,10 @@ def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
     problem, leg = one_phase("east", model, initial=0.0, final=100.0)
     leg.bounds(turn=(-0.01, 0.01))
     leg.initial(latitude=0.0, heading=np.pi / 2)
-    nearby = estimate_phase_magnitudes(leg)[0][0]
+    nearby = estimate_state_and_control_magnitudes(leg)[0][0]
     assert 1e-4 < nearby < 0.1  # 1e-3 rad/s for 100 s at most
     flown = problem.with_guess("leg", latitude=(0.0, 6e-18), heading=np.pi / 2)
-    assert estimate_phase_magnitudes(flown.get_phase())[0][0] == pytest.approx(nearby, rel=1e-6)
+    assert estimate_state_and_control_magnitudes(flown.get_phase())[0][0] == pytest.approx(nearby, rel=1e-6)
     best = 1e-3 * (1 - np.cos(0.01 * 100.0)) / 0.01  # turning at the limit all the time
     problem.maximize(leg.final_state("latitude"))
     found = go.solve(
@@ -94,7 +94,7 @@ def test_wheels_that_cancel_each_other_at_their_bounds_tell_how_fast_the_body_tu
     leg.initial(w=[0.0, 0.0, 0.0])
     leg.bounds(T=(-0.2, 0.2))
     assert np.max(np.abs(axes[:2] @ np.ones(4))) < 1e-15
-    states, _ = estimate_phase_magnitudes(leg)
+    states, _ = estimate_state_and_control_magnitudes(leg)
     about = np.array([axes[0, 0], axes[1, 0], 4.0 * axes[2, 0]])  # of one wheel alone, and of all four
     np.testing.assert_allclose(states, 0.5 * 10.0 * 0.2 * about / inertia, rtol=1e-12)
 
@@ -103,7 +103,7 @@ def test_a_path_constraint_of_a_free_parameter_implies_no_magnitude() -> None:
     problem, leg = double_integrator()
     most = problem.parameter("most", lower=1.0, upper=9.0)
     leg.path("limit", leg.model.symbol("u") - most, upper=0.0)
-    np.testing.assert_array_equal(estimate_phase_magnitudes(leg)[1], [1.0])
+    np.testing.assert_array_equal(estimate_state_and_control_magnitudes(leg)[1], [1.0])
 
 
 def test_a_guess_that_tracks_perfectly() -> None:

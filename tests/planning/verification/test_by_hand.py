@@ -29,8 +29,8 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
     _choose_adjoint_shooting_nodes,
+    _mask_adjoint_equation_rows,
     _mask_adjoint_multipliers,
-    _mask_adjoint_rows,
     _sample_trajectory_variables,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
@@ -368,7 +368,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
-    exact = _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)})
+    exact = _mask_adjoint_equation_rows(transcription, {"leg": np.zeros(0, dtype=int)})
     weights = compute_quadrature_weights(transcription)[0]
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
@@ -407,7 +407,7 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
         problem, np.ones(transcription.n_variables)
     )[2]
     exact, basis = (
-        _mask_adjoint_rows(transcription, breaks),
+        _mask_adjoint_equation_rows(transcription, breaks),
         _mask_adjoint_multipliers(transcription, breaks),
     )
     assert np.sum(exact) == np.sum(basis) == 2 * (3 + 4 + 3 + 2 - len(restarts))

@@ -23,7 +23,7 @@ from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimal
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import stored_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
-from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
+from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, combine_condition_results
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 
@@ -50,11 +50,9 @@ def scales(cost: float = 5.0, **own: Any) -> Any:
 
 
 def test_results_from_a_value_and_from_two_certainties() -> None:
-    assert [check_tolerance("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)] == [
-        PASS,
-        FAIL,
-        FAIL,
-    ]
+    assert [
+        check_value_within_tolerance("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)
+    ] == [PASS, FAIL, FAIL]
     found = {(p, f): combine_condition_results(p, f) for p in (False, True) for f in (False, True)}
     assert found == {
         (False, False): INCONCLUSIVE,
@@ -327,7 +325,7 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
 
 def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.MonkeyPatch) -> None:
     """Loss 3 * 0.2 per second over min(2, 5) / 4; distance 3 / (20 * 0.2). The smaller one, integrated over 4 s."""
-    monkeypatch.setattr(controls, "has_cost_curvature", lambda s: np.array([True, True]))
+    monkeypatch.setattr(controls, "mask_controls_with_cost_curvature", lambda s: np.array([True, True]))
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
     np.testing.assert_allclose(controls.compute_hamiltonian_decrease_scales(s, own), [0.5, 1.25])
@@ -788,7 +786,7 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     """H_uu = 4 over 2 s; deviations of 0.1. The second control is expensive, the third has no curvature."""
     module = sys.modules[Scales.__module__]
     times, ones = np.array([0.0, 1.0, 2.0]), np.ones((3, 3))
-    monkeypatch.setattr(module, "has_cost_curvature", lambda s: np.ones(3, dtype=bool))
+    monkeypatch.setattr(module, "mask_controls_with_cost_curvature", lambda s: np.ones(3, dtype=bool))
     monkeypatch.setattr(
         module, "differentiate_final_state_by_controls", lambda s: (times, np.stack([ones, ones * times]))
     )

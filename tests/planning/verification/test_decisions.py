@@ -280,7 +280,7 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(controls, "_mask_interior_controls", lambda s: np.ones((2, 8), dtype=bool))
     monkeypatch.setattr(
         controls,
-        "find_sustained_minimum_sample",
+        "find_lasting_minimum_sample",
         lambda times, values: seen.append(values) or int(np.argmin(values)),
     )
     seen: list[Array] = []
@@ -334,7 +334,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
         def is_near_limits(self, values: Array) -> Array:
             return np.array([[[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]], np.zeros((4, 3))]) > 0
 
-        def get_contact_order(self, i: int) -> int:
+        def get_order_of_constraint_contact(self, i: int) -> int:
             return self.order
 
         def evaluate_time_derivative(self, i: int, order: int, t: Array, x: Array, u: Array) -> Array:

@@ -53,7 +53,7 @@ from gnc_opt.planning.verification.external_trajectory_check import (
     _split_vector_controls,
 )
 from gnc_opt.planning.verification.feasibility import _find_largest_bound_violation
-from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
+from gnc_opt.planning.verification.goh_transformation import mask_zero_hamiltonian_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_direction_of_least_curvature
 from gnc_opt.planning.verification.stored_data_check import (
     find_nonfinite_stored_value,
@@ -602,7 +602,7 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
                 control_bounds=by_hand.interval(-1.0, 4.0),
             )
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
-        assert bool(np.all(mask_zero_curvature(s))) is told
+        assert bool(np.all(mask_zero_hamiltonian_curvature(s))) is told
 
 
 def test_a_vector_of_size_zero_keeps_its_direction() -> None:

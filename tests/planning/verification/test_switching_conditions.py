@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     integrate_bang_bang_flow,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
-    find_sustained_minimum_sample,
+    find_lasting_minimum_sample,
     remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.switching_time_problem import Switches, _equalise_nearby_switch_times
@@ -718,13 +718,13 @@ def test_a_dip_counts_if_it_lasts() -> None:
     values[(times > 0.3) & (times < 0.30005)] = -2.0
     lasting = np.abs(times - 0.7) < 1e-3
     values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
-    k = find_sustained_minimum_sample(times, values)
+    k = find_lasting_minimum_sample(times, values)
     # Half of 1e-4 to either side of the trough it has risen by 0.005.
     assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
     coarse = np.linspace(0.0, 1.0, 11)
-    assert find_sustained_minimum_sample(coarse, np.cos(2 * np.pi * coarse)) == 5
-    assert times[find_sustained_minimum_sample(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
-    assert times[find_sustained_minimum_sample(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
+    assert find_lasting_minimum_sample(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
 
 
 # Second order along singular arcs: conjugate times, ends and alternating controls in closed form.

@@ -16,7 +16,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification.switching_time_optimality import (
-    _compute_adjacent_arc_length,
+    _compute_adjacent_arc_duration,
     find_control_jumps,
 )
 from gnc_opt.planning.verification.switching_time_variations import (
@@ -447,7 +447,7 @@ def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_wit
 
     jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
     ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
-    assert [_compute_adjacent_arc_length(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
+    assert [_compute_adjacent_arc_duration(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
 
 
 @pytest.mark.parametrize(("least", "result"), [(-0.2, "FAIL"), (-0.01, "INCONCLUSIVE"), (0.01, "PASS")])

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, gues
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import build_angle_invariance_test
-from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 
 DURATION_MAX_RATIO = 10.0
 """Largest factor between a random and the guessed duration; log-uniform over two decades, within bounds."""
@@ -35,7 +35,7 @@ WAVES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
-def is_guess_shape_kept(index: int) -> bool:
+def does_start_keep_guess_shape(index: int) -> bool:
     """Return whether a start keeps the shape of the problem's guess, as every fourth one does."""
     return index % 4 == 2
 
@@ -47,8 +47,8 @@ def with_random_guess(
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
     their bounds. Angles with a free end make the number of revolutions that fits the duration at the guessed rate, or
-    one more or less. Starts without `is_guess_shape_kept` have smooth state perturbations between fixed ends, and
-    bang-bang or smooth controls.
+    one more or less. Starts without `does_start_keep_guess_shape` have smooth state perturbations between fixed ends,
+    and bang-bang or smooth controls.
     """
     if index == 0:
         return problem
@@ -66,8 +66,8 @@ def with_random_guess(
             start.states + _draw_random_revolutions(problem, phase, rng, ratio, turned),
             start.controls,
         )
-        if known is not None or not is_guess_shape_kept(index):
-            magnitudes = estimate_phase_magnitudes(phase)
+        if known is not None or not does_start_keep_guess_shape(index):
+            magnitudes = estimate_state_and_control_magnitudes(phase)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_random_states(phase, states, magnitudes[0], rng, least)
             controls = _draw_random_controls(

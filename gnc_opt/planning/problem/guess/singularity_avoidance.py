@@ -12,7 +12,7 @@ from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_fun
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 
 BEND = 0.1
 """Displacement of a curved guess at its midpoint, as a share of each state's magnitude."""
@@ -38,7 +38,9 @@ def _add_sine_to_state_guess(phase: Phase) -> dict[str, Any]:
     start, layout, box = build_phase_guess(phase, FRACTIONS), phase.model.states, phase.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
-    states = start.states + (estimate_phase_magnitudes(phase)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
+    states = start.states + (estimate_state_and_control_magnitudes(phase)[0] * share)[:, None] * np.sin(
+        np.pi * FRACTIONS
+    )
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
 

@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds
+from gnc_opt.planning.problem.redundant_bounds import find_bounds_not_implied_by_norm
 from gnc_opt.planning.problem.reformulation.reformulated_controls import build_guess_of_expression
 from gnc_opt.planning.problem.scaling_magnitudes import SAMPLES
 from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
@@ -71,7 +71,7 @@ class AlgebraicVariable:
         """Make the variable a state of a phase."""
         t, x, _, _ = phase.model.symbolic_arguments()
         constraint = phase.paths[self.constraint]
-        phase.numbers = replace(phase.numbers, controls=find_nonimplied_bounds(problem, phase))
+        phase.numbers = replace(phase.numbers, controls=find_bounds_not_implied_by_norm(problem, phase))
         phase.add_states({self.symbol: self.rate}, ends=self.ends)
         phase.drop_path(self.constraint)
         name = f"{self.constraint} at the start of {phase.name}"

@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_integrand_kinks,
     solve_affine_equation,
-    split_kinked_constraints,
+    split_nonsmooth_constraints,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_controls import (
     ReformulatedPhase,
@@ -86,7 +86,7 @@ class EquivalentBounds:
         symbols = ca.vertsplit(phase.model.symbols("control"))
         controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
         boxes = dict[str, Interval]()
-        for name, c in split_kinked_constraints(phase.paths, domain).items():
+        for name, c in split_nonsmooth_constraints(phase.paths, domain).items():
             box = _read_control_bounds(c, controls, unbounded_interval(len(symbols)))
             boxes |= {} if box is None else {name: box}
         return cls(boxes)
@@ -223,7 +223,7 @@ class SplitControls(ReformulatedPhase):
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
         controls = stack_named_bounds(boxes, self.model.controls)
-        self.replace_phase_functions(phase, replace(old, controls=controls, scales=scales))
+        self.reformulate_phase_functions(phase, replace(old, controls=controls, scales=scales))
 
 
 def _describe_control_replacement(control: SplitControl) -> str:

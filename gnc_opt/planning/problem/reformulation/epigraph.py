@@ -234,7 +234,7 @@ class EndpointEpigraph:
 
     @classmethod
     def from_problem(cls, problem: ProblemData, domain: SymbolRanges) -> EndpointEpigraph:
-        changed = split_kinked_constraints(problem.constraints, domain)
+        changed = split_nonsmooth_constraints(problem.constraints, domain)
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
@@ -280,7 +280,7 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> KinkedTerms:
-        limits = split_kinked_constraints(phase.paths, domain)
+        limits = split_nonsmooth_constraints(phase.paths, domain)
         return cls(find_integrand_kinks(problem, phase, domain), limits)
 
     @property
@@ -295,7 +295,7 @@ class KinkedTerms:
         form.reformulate_phase(problem, phase)
 
 
-def split_kinked_constraints(
+def split_nonsmooth_constraints(
     constraints: Mapping[str, Constraint], domain: SymbolRanges
 ) -> dict[str, Constraint]:
     """Return the constraints of which rows are extrema, with smooth rows in their place."""
@@ -378,4 +378,4 @@ class Epigraph(ReformulatedPhase):
             values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
         controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
         guess = PhaseGuess(old.guess.time, values)
-        self.replace_phase_functions(phase, replace(old, controls=controls, guess=guess))
+        self.reformulate_phase_functions(phase, replace(old, controls=controls, guess=guess))

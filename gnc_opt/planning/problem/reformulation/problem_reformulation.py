@@ -11,7 +11,10 @@ from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds, remove_redundant_control_bounds
+from gnc_opt.planning.problem.redundant_bounds import (
+    find_bounds_not_implied_by_norm,
+    remove_redundant_control_bounds,
+)
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks, EquivalentBounds
 from gnc_opt.planning.problem.reformulation.epigraph import (
@@ -21,7 +24,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     has_kinks_in_endpoint_functions,
 )
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
-    find_vector_substitution,
+    find_vector_norm_substitution,
     remove_square_roots_from_norms,
 )
 from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
@@ -52,10 +55,12 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
     for phase in twin.phases.values():
         rootless = problem.memoize(("rootless", phase.name), partial(remove_square_roots_from_norms, phase))
         phase.paths |= rootless
-        box = find_nonimplied_bounds(problem, phase)
+        box = find_bounds_not_implied_by_norm(problem, phase)
         signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (form := problem.memoize(("form", *key), partial(find_vector_substitution, phase))) is not None:
+        while (
+            form := problem.memoize(("form", *key), partial(find_vector_norm_substitution, phase))
+        ) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
             key = _reformulate_nonsmooth_terms(problem, phase, key, kind)

@@ -60,7 +60,7 @@ class ReformulatedPhase:
     integrands: dict[str, tuple[Any, Any]]
     restatement: ControlMap
 
-    def replace_phase_functions(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
+    def reformulate_phase_functions(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
         layout, values = phase.model.parameters, phase.model.parameter_values
         known = {name: values[layout.slice(name)] for name in layout.names}

@@ -61,7 +61,7 @@ from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expression
 Names: TypeAlias = tuple[str, ...]
 
 
-def find_vector_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
+def find_vector_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
     """Return the form for the largest vector whose norm is a root or limited by a control, else for a unit vector."""
     limited = (names for names, _, _ in _find_norm_limits(phase))
     names = max([*_find_vectors_in_norms(phase), *limited], key=len, default=None)
@@ -257,7 +257,7 @@ class NormSubstitution(ReformulatedPhase):
             values[self.control.name] = build_guess_of_expression(problem, stated, vector)
             guess = PhaseGuess(guess.time, values)
         controls = stack_named_bounds(boxes, self.model.controls)
-        self.replace_phase_functions(phase, replace(old, controls=controls, scales=scales, guess=guess))
+        self.reformulate_phase_functions(phase, replace(old, controls=controls, scales=scales, guess=guess))
         phase.paths |= rows
         phase.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
@@ -432,7 +432,7 @@ class UnitVectorSubstitution(ReformulatedPhase):
         lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
         lower[place], upper[place] = -np.inf, np.inf
         scales = {name: scale for name, scale in old.scales.items() if name != self.names[0]}
-        self.replace_phase_functions(phase, replace(old, controls=Interval(lower, upper), scales=scales))
+        self.reformulate_phase_functions(phase, replace(old, controls=Interval(lower, upper), scales=scales))
         phase.record_vector_control(self.control, on_sphere=False)
         return ()
 

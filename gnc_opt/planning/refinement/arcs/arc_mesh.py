@@ -212,7 +212,9 @@ class ArcMesh:
         kinds = structure.arc_kind_matrix()
         kinds = select_arc_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
         # Released rows: interior regular controls are unbounded, as their excess shows where the arc has to end.
-        released = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_changes()
+        released = (
+            structure.mask_constraints_near_contacts(self.loose) | structure.mask_rows_near_limit_changes()
+        )
         released |= np.asarray(structure.regular, dtype=bool)[:, None]
         kinds = select_arc_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
         n_controls = structure.n_controls
@@ -237,7 +239,7 @@ class ArcMesh:
         structure, n_controls = self.structure, self.structure.n_controls
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_subarcs):
-            taken = structure.find_state_limit_change(k)[:1]
+            taken = structure.find_state_to_control_limit_change(k)[:1]
             for i in structure.find_changed_arcs(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
                 if after.is_at_limit and (order or i in taken):
@@ -245,7 +247,7 @@ class ArcMesh:
                 elif i in taken:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
-            paths = [i for i in structure.find_active_limit_change(k) if i >= n_controls]
+            paths = [i for i in structure.find_control_limit_change(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
                 found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))

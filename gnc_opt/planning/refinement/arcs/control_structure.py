@@ -131,7 +131,7 @@ class PhaseStructure:
         This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
         become active or inactive. If one limit replaces another one, both are active, and the time is a variable.
         """
-        if self.find_state_limit_change(boundary) or self.find_active_limit_change(boundary):
+        if self.find_state_to_control_limit_change(boundary) or self.find_control_limit_change(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
@@ -157,16 +157,16 @@ class PhaseStructure:
         holders = [own for own in (self.boundary_arc_controls[i] for i in kept) if row in own]
         return any(not bound[other].is_at_limit for own in holders for other in own)
 
-    def find_active_limit_change(self, boundary: int) -> list[int]:
+    def find_control_limit_change(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         signs = [(kinds[i].sign, i) for kinds in pair for i in rows if kinds[i].is_at_limit]
-        sides = [sign * self._get_control_effect_sign(i) for sign, i in signs]
+        sides = [sign * self._get_sign_of_control_effect(i) for sign, i in signs]
         owners = (self.boundary_arc_controls[row] if row >= self.n_controls else (row,) for row in rows)
         controls = set(itertools.chain(*owners))
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
-    def find_state_limit_change(self, boundary: int) -> list[int]:
+    def find_state_to_control_limit_change(self, boundary: int) -> list[int]:
         """Return a state constraint and a limit of its control of which one replaces the other at a boundary, or [].
 
         The control reaches its limit, on the side away from the constraint, along the arc on the constraint, or is on
@@ -187,10 +187,10 @@ class PhaseStructure:
         if owner[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):
             return []
         side = pair[first][state].sign * dict(self.effects[state])[owner[0]]
-        opposite = pair[1 - first][limit].sign * self._get_control_effect_sign(limit)
+        opposite = pair[1 - first][limit].sign * self._get_sign_of_control_effect(limit)
         return [state, limit] if side == (-1 if first else 1) * opposite != 0 else []
 
-    def _get_control_effect_sign(self, row: int) -> int:
+    def _get_sign_of_control_effect(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
@@ -208,12 +208,16 @@ class PhaseStructure:
                 held[list(self.boundary_arc_controls[row])] |= self.active[row]
         return held
 
-    def mask_near_limit_changes(self) -> Mask:
+    def mask_rows_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
         for k in range(1, self.n_subarcs):
             given_out = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
-            for row in [*self.find_active_limit_change(k), *self.find_state_limit_change(k), *given_out]:
+            for row in [
+                *self.find_control_limit_change(k),
+                *self.find_state_to_control_limit_change(k),
+                *given_out,
+            ]:
                 beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside
 
@@ -225,7 +229,7 @@ class PhaseStructure:
         )
         return bool(self.orders[row]) and not linear
 
-    def mask_near_contacts(self, touches: bool) -> Mask:
+    def mask_constraints_near_contacts(self, touches: bool) -> Mask:
         """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
 
         Constraints that the direction of a vector of largest magnitude could satisfy are excluded.

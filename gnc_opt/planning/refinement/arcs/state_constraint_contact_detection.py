@@ -163,7 +163,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             least = max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)
             scaled_multipliers = np.where(near & (scaled_multipliers > least), scaled_multipliers, 0.0)
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
-            if constraints.get_contact_order(int(row)) > 1:
+            if constraints.get_order_of_constraint_contact(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_true_value_intervals(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_nodes_cover_segment(times[a:b], s)
@@ -217,7 +217,7 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
     constraints, phase = StateConstraints(problem, samples), samples.leg
     points, u = phase.point_times, np.hstack(phase.u.values)
     found = []
-    rows = [row for row in range(constraints.n_rows) if constraints.get_contact_order(row)]
+    rows = [row for row in range(constraints.n_rows) if constraints.get_order_of_constraint_contact(row)]
     for run in find_contact_nodes(constraints, rows):
         held = np.flatnonzero(run.scaled_multipliers > 0)
         start, end = run.times[held[[0, -1]]]
@@ -245,17 +245,19 @@ def add_constraint_contacts(
     constraints, first = StateConstraints(problem, samples), structure.n_controls
     held, orders, effects = np.any(structure.active[first:], axis=1), [0] * first, list(structure.effects)
     for row, on in enumerate(held):
-        order = constraints.get_contact_order(row)
+        order = constraints.get_order_of_constraint_contact(row)
         orders.append(0 if on else order)
         if order == 1 or (order and not on):
             effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
     structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
-    for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
+    for run in _find_new_constraint_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contact_arcs(structure, samples)
     return structure
 
 
-def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
+def _find_new_constraint_contact_nodes(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> list[ContactNodes]:
     first, found = structure.n_controls, []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         known = structure.is_at_limit(first + run.row, run.times)
@@ -273,7 +275,7 @@ def add_missing_constraint_contact(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact at the largest missing multiplier and the action, or None."""
     s, structure = constraints.samples, plan.structure
-    runs = _find_new_contact_nodes(constraints, structure)
+    runs = _find_new_constraint_contact_nodes(constraints, structure)
     for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
         added = run.add_contact_arcs(structure, s)
         if added != structure:
@@ -296,7 +298,7 @@ def replace_saturated_arc_controls(
         return None, ""
     bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
     for boundary in range(1, structure.n_subarcs):
-        taken = structure.find_state_limit_change(boundary)
+        taken = structure.find_state_to_control_limit_change(boundary)
         if not taken:
             continue
         state, row = taken

@@ -39,13 +39,13 @@ def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:
     problem = solution.need_problem("refine")
     return {
         name: add_constraint_contacts(
-            detect_phase_structure(s, find_constraint_arc_controls(problem, s)), problem, s
+            detect_control_structure(s, find_constraint_arc_controls(problem, s)), problem, s
         )
         for name, s in solution.samples().items()
     }
 
 
-def detect_phase_structure(
+def detect_control_structure(
     samples: PhaseSamples, determined: Sequence[ConstraintArcControl] = ()
 ) -> PhaseStructure:
     """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.

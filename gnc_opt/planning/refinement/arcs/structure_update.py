@@ -185,7 +185,7 @@ def _insert_saturated_control_arc(
     samples = constraints.samples
     bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
-    released = plan.structure.mask_near_limit_changes()[: len(singular)]
+    released = plan.structure.mask_rows_near_limit_changes()[: len(singular)]
     singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, subarcs]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
@@ -242,7 +242,7 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
             wanted = [
                 find_junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
-                else _find_kink_time(samples, plan, boundary, i)
+                else _find_constraint_kink_time(samples, plan, boundary, i)
                 for i in structure.find_changed_arcs(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
@@ -275,7 +275,7 @@ def find_junction_time(
     return time + float(np.clip(move, -most, most))
 
 
-def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
+def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign

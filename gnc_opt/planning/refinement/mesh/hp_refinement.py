@@ -70,7 +70,7 @@ def refine_mesh(
     refinement = _Refinement(solution, tol, budget or WorkBudget(), options)
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
-            status = refinement.refine_until_converged(show)
+            status = refinement.refine_mesh_until_converged(show)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     return refinement.build_refinement_result(status)
@@ -92,7 +92,7 @@ class _Refinement:
         self._state = self._estimate_mesh_errors(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
-    def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
+    def refine_mesh_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
         show(self._iterations[-1])
         for _ in range(self._budget.max_passes):
             if time.perf_counter() > self._budget.deadline:
