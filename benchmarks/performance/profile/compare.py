@@ -165,12 +165,11 @@ def figure(rows: Sequence[Row], path: Path) -> None:
             shares = [share_within(curve, factor) for factor in edges]
             style = "-" if program == "gnc_opt" else "--" if k < COLOURS else ":"
             ax.step(edges, shares, style, where="post", label=f"{program}, {way}")
-        ax.set(
-            xscale="log", xlim=(1, LARGEST_FACTOR), ylim=(0, 1.02), title=f"objective right to {accuracy:g}"
-        )
+        title = f"relative error at most $10^{{{math.log10(accuracy):.0f}}}$"
+        ax.set(xscale="log", xlim=(1, LARGEST_FACTOR), ylim=(0, 1.02), title=title)
         ax.grid(alpha=0.3)
     for ax in axes[-1]:
-        ax.set_xlabel("time over the time of the fastest program")
+        ax.set_xlabel("time relative to the fastest program")
     for ax in axes[:, 0]:
         ax.set_ylabel("share of the problems")
     drawn.legend(*axes.flat[-1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
