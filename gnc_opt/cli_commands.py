@@ -200,7 +200,7 @@ def _write_requested_output_files(
     if args.report is not None:
         about = {
             "view": file.view,
-            "description": file.describe(dict(parse_build_option(text) for text in args.set)),
+            "description": file.describe_problem_builder(dict(parse_build_option(text) for text in args.set)),
             "command": args.command,
             "author": args.author,
         }
@@ -223,7 +223,7 @@ def _format_problem_summary(file: ProblemFile, problem: Problem) -> str:
         f"{pluralise_noun(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
-    options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())
+    options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.builder_options.values())
     lines.append(f"  options of build(): {options or 'none'}")
     return "\n".join(lines)
 

@@ -59,7 +59,7 @@ class Example:
         return import_module(self.module_name)
 
     @cached_property
-    def docstring(self) -> str:
+    def module_docstring(self) -> str:
         """Docstring of the example: problem, purpose and source of the known result."""
         source = self.path / "__init__.py" if self.is_package else self.path
         return ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
@@ -67,7 +67,7 @@ class Example:
     @property
     def title(self) -> str:
         """First line of the docstring."""
-        return self.docstring.partition("\n")[0].rstrip(".")
+        return self.module_docstring.partition("\n")[0].rstrip(".")
 
     def run(self, arguments: Sequence[str] = ()) -> int:
         """Solve, verify, compare with the known result and print; return the exit code."""
@@ -141,11 +141,11 @@ class ProblemFile:
             )
         return found
 
-    def describe(self, chosen: Mapping[str, Any]) -> str:
+    def describe_problem_builder(self, chosen: Mapping[str, Any]) -> str:
         """Return the docstring of the module that defines ``build``, and the options with values and meaning."""
         owner = sys.modules.get(getattr(self.module.build, "__module__", ""), self.module)
         meanings, lines = inspect.getdoc(self.module.build) or "", []
-        for name, option in self.options.items():
+        for name, option in self.builder_options.items():
             if (value := chosen.get(name, option.default)) is not option.empty:
                 found = re.search(rf"^{name} : .*\n((?:    .*\n?)+)", meanings, re.MULTILINE)
                 meaning = "" if found is None else ": " + " ".join(found[1].split())
@@ -155,7 +155,7 @@ class ProblemFile:
         )
 
     @property
-    def options(self) -> dict[str, inspect.Parameter]:
+    def builder_options(self) -> dict[str, inspect.Parameter]:
         """Options of ``build`` by name."""
         return dict(inspect.signature(self.module.build).parameters)
 
@@ -171,7 +171,7 @@ class ProblemFile:
         return problem
 
     def _check_options_of_problem_builder(self, given: Mapping[str, Any]) -> None:
-        known = self.options
+        known = self.builder_options
         kinds = inspect.Parameter
         named = [n for n, p in known.items() if p.kind not in (kinds.VAR_KEYWORD, kinds.VAR_POSITIONAL)]
         takes_any = any(p.kind is kinds.VAR_KEYWORD for p in known.values())

@@ -29,7 +29,7 @@ def show_solve_progress(name: str, console: Console | None = None) -> Iterator[S
     try:
         yield meter.show_iteration
     finally:
-        meter.close()
+        meter.close_display()
 
 
 class _SolveMeter:
@@ -58,7 +58,7 @@ class _SolveMeter:
             self._live.update(self._line, refresh=True)
             self._due = now + 0.1
 
-    def close(self) -> None:
+    def close_display(self) -> None:
         if self._live:
             self._live.stop()
         if self._line is not None:

@@ -62,7 +62,7 @@ def pages(pictures: bool) -> dict[str, str]:
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
-    statement = raise_exponents(module_page(example.docstring)).removeprefix(f"{heading(example)}: ")
+    statement = raise_exponents(module_page(example.module_docstring)).removeprefix(f"{heading(example)}: ")
     subtitle, _, text = statement.partition("\n")
     yield f"*{subtitle[0].upper()}{subtitle[1:]}*\n{text}\n"
     known = reference(example)

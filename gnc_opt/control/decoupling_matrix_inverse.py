@@ -53,7 +53,7 @@ class MemoryEntry:
     alarm: bool = False
 
     @property
-    def variable(self) -> Variable:
+    def memory_variable(self) -> Variable:
         return Variable(self.name, self.symbol.numel(), self.unit)
 
 
@@ -159,7 +159,7 @@ def build_singularity_guarded_controller(
     frozen = [ca.if_else(regular, part.after, part.symbol) for part in memory]
     after = ca.vertcat(*frozen, *[part.after for part in own[len(memory) :]])
     inner_signals: list[Variable] = []
-    variables = [part.variable for part in own]
+    variables = [part.memory_variable for part in own]
     r = ca.vertcat(pair.x_ref, pair.u_ref)
     schedule: Schedule = ReferenceSchedule(reference)
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)

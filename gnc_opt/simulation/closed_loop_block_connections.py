@@ -115,7 +115,7 @@ class LoopWiring:
     quantities: Quantities
 
     @property
-    def h(self) -> float:
+    def minor_step_length(self) -> float:
         """Minor step, s."""
         return self.dt / self.minor_steps
 
@@ -123,7 +123,10 @@ class LoopWiring:
     def blocks_and_step_lengths(self) -> list[tuple[BlockLink, float]]:
         """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
-        return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
+        return [
+            *((link, self.minor_step_length) for link in self.actuators),
+            *((link, self.dt) for link in slow),
+        ]
 
     @property
     def starts_at_trim(self) -> bool:

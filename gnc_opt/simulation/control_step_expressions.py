@@ -33,7 +33,7 @@ class ControlStep:
 
     def __init__(self, wiring: LoopWiring, substeps: int) -> None:
         self.wiring, self.substeps = wiring, substeps
-        self.h = wiring.h
+        self.h = wiring.minor_step_length
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
         self.plant_p = stack_named_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])

@@ -121,7 +121,7 @@ def test_options_are_described_with_their_meaning(tmp_path):
         '        Of the cart,\n        kg.\n    limit : float\n        Of the force, N.\n    """\n',
         encoding="utf-8",
     )
-    text = load_problem_file(file).describe({"limit": 3.0})
+    text = load_problem_file(file).describe_problem_builder({"limit": 3.0})
     assert text.split("\n\n") == [
         *("A cart.", "**Options of this solution**", "``mass = 2.0``: Of the cart, kg."),
         *("``limit = 3.0``: Of the force, N.", "``wind = 0.0``"),

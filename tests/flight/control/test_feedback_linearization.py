@@ -291,7 +291,7 @@ def test_inverses_are_exact_or_of_least_length():
     assert np.array(ca.evalf(ca.SX(constant))).ravel() == pytest.approx([1.0, 2.0])
     inverse = GuardedInverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])
-    assert MemoryEntry("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
+    assert MemoryEntry("m", ca.SX.sym("m", 3), 0, 0, "N").memory_variable == Variable("m", 3, "N")
     both = StackedSchedule(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
     assert both(np.array([1.0, 2.0]), 0.5).tolist() == [[1, 2], [0.5, 1]]
 
