@@ -80,7 +80,8 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
             for moved in (step, -step):
                 at = [s.x.copy(), s.u.copy()]
                 at[k][i] += moved
-                change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
+                with np.errstate(invalid="ignore"):  # beyond the domain of an integrand
+                    change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
                 spans = np.fmax(spans, NOTABLE * set_nonfinite_to_zero(change))
     return set_nonfinite_to_zero(spans)
 
