@@ -253,11 +253,12 @@ def test_the_sign_of_an_arc_of_second_order(sign: float) -> None:
     assert (arc.order, arc.least) == (2, pytest.approx(expected))
 
 
-def test_controls_that_curve_h_together_are_not_affine() -> None:
+@pytest.mark.parametrize("share", [1.0, 1e-3])
+def test_controls_that_curve_h_together_are_not_affine(share: float) -> None:
     """u w has no curvature in either: where both rest at zero, the arc's first derivative is of order zero."""
     model, x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
     problem, leg = one_phase("pair", model, 0.0, 2.0)
-    problem.minimize(leg.integral(x + u * w))
+    problem.minimize(leg.integral(x + share * u * w))
     s = by_hand.samples(
         problem,
         lambda t, k: np.array([1 + t, 2 - t]),
