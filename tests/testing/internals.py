@@ -113,7 +113,7 @@ from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, ch
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
-    explain_inapplicable_theorem,
+    explain_why_not_bang_bang,
 )
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions

@@ -71,11 +71,11 @@ class StateConstraints:
         return len(self.samples.leg.path_labels) + self.samples.leg.states.size
 
     @cached_property
-    def row_bounds(self) -> Interval:
+    def constraint_row_bounds(self) -> Interval:
         return stack_intervals([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
 
     def list_finite_limits(self, row: int) -> list[tuple[ArcKind, float]]:
-        box = self.row_bounds
+        box = self.constraint_row_bounds
         both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
         return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
 
@@ -86,9 +86,11 @@ class StateConstraints:
 
     def get_order_of_constraint_contact(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
-        if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
+        if not self.constraint_row_bounds.lower[row] < self.constraint_row_bounds.upper[row]:
             return 0
-        if not np.isfinite([self.row_bounds.lower[row], self.row_bounds.upper[row]]).any():
+        if not np.isfinite(
+            [self.constraint_row_bounds.lower[row], self.constraint_row_bounds.upper[row]]
+        ).any():
             return 0
         order = self.get_constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
@@ -125,8 +127,8 @@ class StateConstraints:
 
     def is_near_limits(self, values: Array) -> Mask:
         """Return whether rows are at their lower and at their upper limit (2, n_rows, n_times)."""
-        near = np.stack(self.row_bounds.is_near_limits(values, AT_LIMIT * self.row_scales))
-        return np.asarray(near & ~self.row_bounds.is_fixed[:, None])
+        near = np.stack(self.constraint_row_bounds.is_near_limits(values, AT_LIMIT * self.row_scales))
+        return np.asarray(near & ~self.constraint_row_bounds.is_fixed[:, None])
 
     def compute_costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
         """Return the costate jumps along the gradient of each row, in units of the cost (n_rows, n_times)."""
@@ -450,7 +452,7 @@ class TransversalityResidual:
     limits: Interval
 
 
-def explain_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
+def explain_transversality_residual(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     phase, name, pure, n = s.leg, s.leg.name, s.pure_state_constraints, s.leg.states.size
     given = phase.final_bounds if at else phase.initial_bounds

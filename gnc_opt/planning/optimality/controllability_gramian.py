@@ -65,13 +65,13 @@ class Ellipsoid:
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
         parts = np.tensordot(self.axes.T, _divide_by_possibly_zero_scale(moved, self.radius), 1)
-        return np.asarray(np.linalg.norm(parts / _broadcast_scale_over_times(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts / _reshape_scale_for_time_series(self.shares, parts), axis=0))
 
     def support_function(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
-        scaled = np.asarray(gradient) * _broadcast_scale_over_times(self.radius, gradient)
+        scaled = np.asarray(gradient) * _reshape_scale_for_time_series(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
-        return np.asarray(np.linalg.norm(parts * _broadcast_scale_over_times(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts * _reshape_scale_for_time_series(self.shares, parts), axis=0))
 
     @property
     def semi_axes(self) -> Array:
@@ -290,12 +290,12 @@ def _build_boundary_jacobian(problem: Problem) -> Any:
     return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
 
 
-def _broadcast_scale_over_times(scale: Array, values: Array) -> Array:
+def _reshape_scale_for_time_series(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
 
 
 def _divide_by_possibly_zero_scale(values: Array, scale: Array) -> Array:
     """Return values (n, ...) divided by a scale (n,); 0/0 is 0, anything else over zero is infinite."""
-    column = np.broadcast_to(_broadcast_scale_over_times(scale, values), np.shape(values))
+    column = np.broadcast_to(_reshape_scale_for_time_series(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
     return np.divide(values, column, out=nothing, where=column > 0)

@@ -164,19 +164,19 @@ class ProgramPoint:
         )
 
     @cached_property
-    def _constraints_and_jacobian(self) -> tuple[Array, Any]:
+    def _constraint_values_and_jacobian(self) -> tuple[Array, Any]:
         g, jacobian = self.transcription.nlp.jac_g(self.x, self.parameter_values)
         return g.full().ravel(), convert_casadi_to_scipy(jacobian)
 
     @property
     def constraint_values(self) -> Array:
         """Values of all rows (n_constraints,)."""
-        return self._constraints_and_jacobian[0]
+        return self._constraint_values_and_jacobian[0]
 
     @property
     def constraint_jacobian(self) -> Any:
         """Jacobian of all rows in all variables, sparse."""
-        return self._constraints_and_jacobian[1]
+        return self._constraint_values_and_jacobian[1]
 
     @cached_property
     def lagrangian_gradient(self) -> Array:

@@ -172,7 +172,7 @@ class Scales:
             cost = changed + sum(np.sum(np.abs(change)) for change in differences)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limited = sum(_compute_limit_cost_of_state_shift(s, reach[s.leg.name][1].radius) for s in lasting)
+        limited = sum(_compute_cost_of_state_shift_at_limits(s, reach[s.leg.name][1].radius) for s in lasting)
         cost = limited if cost < SMALL * limited else cost
         curvatures = _compute_parameter_lagrangian_curvatures(problem, solution, samples)
         if not controlled:
@@ -247,7 +247,7 @@ def _compute_cost_of_joint_control_deviation(s: PhaseSamples, deviation: Array) 
     return change if change > NEGLIGIBLE * terms else terms
 
 
-def _compute_limit_cost_of_state_shift(s: PhaseSamples, moved: Array) -> float:
+def _compute_cost_of_state_shift_at_limits(s: PhaseSamples, moved: Array) -> float:
     """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
     forces = set_nonfinite_to_zero(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
     return float(moved @ np.abs(forces) @ s.weights)

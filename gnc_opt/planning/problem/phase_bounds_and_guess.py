@@ -113,7 +113,7 @@ class ControlMap:
     texts: tuple[str, ...]
 
     @classmethod
-    def identity(cls, model: Model, texts: tuple[str, ...]) -> ControlMap:
+    def create_identity_map(cls, model: Model, texts: tuple[str, ...]) -> ControlMap:
         """Return a restatement that does not change the controls."""
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
@@ -122,7 +122,7 @@ class ControlMap:
         """Return an expression of the stated controls in terms of the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
-    def compose_with_earlier_map(self, earlier: ControlMap | None) -> ControlMap:
+    def compose_control_maps(self, earlier: ControlMap | None) -> ControlMap:
         if earlier is None:
             return self
         return ControlMap(

@@ -22,7 +22,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.state_and_control_scales import take_largest_component
+from gnc_opt.planning.solution.state_and_control_scales import take_largest_variable_component
 
 RELATIVE_TOLERANCE = 1e-11
 """Relative tolerance of integrations that check a solution."""
@@ -128,7 +128,7 @@ def _integrate_between_control_jumps(
 def compute_state_magnitudes(phase: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(phase.x(phase.sample_times())), axis=1)
-    return replace_tiny_divisors_by_one(take_largest_component(largest, phase.states))
+    return replace_tiny_divisors_by_one(take_largest_variable_component(largest, phase.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:

@@ -173,7 +173,7 @@ def _set_boundary_constraint_multipliers(transcription: Transcription, guess: So
         known[f"duration of phase {name}"] = phase.duration_multiplier
         for label, weight in zip(phase.integral_labels, phase.integral_weights, strict=True):
             known[f"integral {label}, phase {name}"] = -float(weight)
-    for label, row in transcription.boundary_row_indices.items():
+    for label, row in transcription.boundary_constraint_row_indices.items():
         lam_g[row] = known.get(label, 0.0)
 
 

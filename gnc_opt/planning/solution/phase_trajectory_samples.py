@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     compute_state_scales,
     estimate_required_controls,
     mask_inactive_controls,
-    take_largest_component,
+    take_largest_variable_component,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import (
@@ -118,7 +118,7 @@ class PhaseSamples:
         return replace(self, times=times[order], segments=segments[order], weights=weights[order])
 
     @cached_property
-    def is_segment_end(self) -> Mask:
+    def is_sample_at_segment_end(self) -> Mask:
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
     @cached_property
@@ -135,7 +135,9 @@ class PhaseSamples:
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_inside_segments, "right")
-        values[:, self.is_segment_end] = signal(self.times_inside_segments[self.is_segment_end], "left")
+        values[:, self.is_sample_at_segment_end] = signal(
+            self.times_inside_segments[self.is_sample_at_segment_end], "left"
+        )
         return values
 
     @cached_property
@@ -292,7 +294,7 @@ class PhaseSamples:
     @property
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
-        changes = take_largest_component(self._hamiltonian_changes_per_control, self.leg.controls)
+        changes = take_largest_variable_component(self._hamiltonian_changes_per_control, self.leg.controls)
         return np.maximum(changes, NOTABLE * self.max_hamiltonian_change)
 
     @property

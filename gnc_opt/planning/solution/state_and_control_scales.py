@@ -84,11 +84,11 @@ def compute_state_scales(
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = phase.x(phase.sample_times())
     size = np.max(np.abs(values), axis=1)
-    moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
+    moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return replace_tiny_divisors_by_one(take_largest_component(size, phase.states))
+        return replace_tiny_divisors_by_one(take_largest_variable_component(size, phase.states))
     movable = _estimate_controllable_state_changes(phase, functions, used)
-    movable = take_largest_component(movable, phase.states)
+    movable = take_largest_variable_component(movable, phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
@@ -115,16 +115,18 @@ def compute_control_scales(
     ranged = np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent)
     spans = np.where(extent > 0, ranged, spans)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
-    spans = take_largest_component(spans, phase.controls)
+    spans = take_largest_variable_component(spans, phase.controls)
     cost = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = take_largest_component(np.where(spans > NEGLIGIBLE * alike, spans, alike), phase.controls)
+    spans = take_largest_variable_component(
+        np.where(spans > NEGLIGIBLE * alike, spans, alike), phase.controls
+    )
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = take_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
+    spans = take_largest_variable_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
     spans = np.where(spans > ROUNDING, spans, extent)
     return _replace_zero_scales_by_fallbacks(spans, replace_tiny_divisors_by_one(size))
 
@@ -132,7 +134,9 @@ def compute_control_scales(
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = compute_interval_midpoints(phase.breaks), phase.x(phase.sample_times())
-    moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[:, None]
+    moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[
+        :, None
+    ]
     x, u = phase.x(middles), phase.applied(middles)
     by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
     lasts = phase.breaks[-1] - phase.breaks[0]
@@ -178,7 +182,7 @@ def _compute_mean_control_deviations(phase: PhaseSolution, used: Array) -> Array
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def take_largest_component(values: Array, layout: Layout) -> Array:
+def take_largest_variable_component(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
     values = set_nonfinite_to_zero(values)  # copy
     for variable in layout.variables:

@@ -54,12 +54,12 @@ class RefinementTask:
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
         known = set(problem.builds)
         try:
-            return self._refine_minimum(problem, minimum)
+            return self._refine_local_minimum(problem, minimum)
         finally:
             for key in set(problem.builds) - known:  # its meshes are not needed for other minima
                 del problem.builds[key]
 
-    def _refine_minimum(self, problem: Problem, minimum: Minimum) -> Minimum:
+    def _refine_local_minimum(self, problem: Problem, minimum: Minimum) -> Minimum:
         coarse = minimum.solution.with_problem(problem)
         solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=self.limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
@@ -292,10 +292,12 @@ def multistart(
             whole = limits or RefinementLimits()
             half = replace(whole, max_work=0.5 * whole.max_work)
             each = replace(half, max_work=half.max_work / max(max_refined, 1))
-            refined = search.refine_minima(RefinementTask(structure, tol, each), minima[:count], max_refined)
+            refined = search.refine_local_minima(
+                RefinementTask(structure, tol, each), minima[:count], max_refined
+            )
             minima = list_distinct_minima([*refined, *minima[count:]])
             if minima and minima[0].check_result == "NOT ok":
-                best = search.refine_minima(RefinementTask(structure, tol, half), minima[:1], 1)
+                best = search.refine_local_minima(RefinementTask(structure, tol, half), minima[:1], 1)
                 minima = list_distinct_minima([*best, *minima[1:]])
     return Multistart(
         stated.name,
@@ -332,7 +334,9 @@ class _MultistartSearch:
                 self.pool.interrupted = True
         return endings
 
-    def refine_minima(self, refining: RefinementTask, minima: Sequence[Minimum], most: int) -> list[Minimum]:
+    def refine_local_minima(
+        self, refining: RefinementTask, minima: Sequence[Minimum], most: int
+    ) -> list[Minimum]:
         """Refine minima in ascending order up to a number of distinct ones; return the others unchanged."""
         finer: list[Minimum] = []
         waiting = list(minima)
@@ -371,11 +375,11 @@ def _prepare_problem_for_workers(problem: Problem | Builder) -> SharedObject[Pro
             f"{type(problem).__name__}."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
-    builder = partial(_build_problem_in_worker, problem)
+    builder = partial(_build_problem_in_worker_process, problem)
     return SharedObject(builder(), "the function that builds the problem", remedy, builder)
 
 
-def _build_problem_in_worker(builder: Builder) -> Problem:
+def _build_problem_in_worker_process(builder: Builder) -> Problem:
     return require_type(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 

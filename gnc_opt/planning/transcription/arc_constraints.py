@@ -154,13 +154,13 @@ def list_junction_derivative_orders(junction: Junction, n_paths: int) -> range:
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
-def count_junction_rows(junction: Junction, n_paths: int) -> int:
+def count_junction_constraint_rows(junction: Junction, n_paths: int) -> int:
     return len(list_junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
 def compute_junction_constraint_limits(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
-    values = np.zeros(count_junction_rows(junction, paths.lower.size))
+    values = np.zeros(count_junction_constraint_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
         values[0] = paths.get_limit_by_sign(junction.kind.sign)[junction.constraint]
     return values

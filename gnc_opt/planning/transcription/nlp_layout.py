@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
     build_polynomial_control_constraints,
-    count_junction_rows,
+    count_junction_constraint_rows,
     list_arc_junctions,
     list_polynomial_controls,
 )
@@ -142,7 +142,7 @@ class NlpLayout:
         placed = []
         for name, phase in self.problem.phases.items():
             for junction in list_arc_junctions(phase):
-                count = count_junction_rows(junction, len(phase.path_labels))
+                count = count_junction_constraint_rows(junction, len(phase.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count
         return placed
@@ -182,7 +182,7 @@ class NlpLayout:
     # --- labels -----------------------------------------------------------------------------------
 
     @property
-    def boundary_row_indices(self) -> dict[str, int]:
+    def boundary_constraint_row_indices(self) -> dict[str, int]:
         """Rows of durations, arc lengths, boundary constraints and integrals by label."""
         return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
 

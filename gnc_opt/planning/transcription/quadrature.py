@@ -119,7 +119,7 @@ def _check_quadrature_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 
 @cache
 def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
-    x, _ = _compute_decimal_points_and_weights(scheme, n)
+    x, _ = _compute_decimal_quadrature_rule(scheme, n)
     with _set_decimal_context_precision():
         nodes = get_point_family(scheme).get_state_nodes(x)
         w = _invert_products_of_node_differences(nodes)
@@ -133,12 +133,12 @@ def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
 
 @cache
 def _compute_quadrature_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
-    x, w = _compute_decimal_points_and_weights(scheme, n)
+    x, w = _compute_decimal_quadrature_rule(scheme, n)
     return _round_to_float(x), _round_to_float(w)
 
 
 @cache
-def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
+def _compute_decimal_quadrature_rule(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _set_decimal_context_precision():
         family = get_point_family(scheme)
         x = _convert_to_decimals(family.approximate_nodes(n))[(n + 1) // 2 if family.is_symmetric else 0 :]
@@ -176,7 +176,7 @@ def _integrate_legendre(x: Numbers, n: int) -> Numbers:
 @cache
 def _build_decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
-    x, w = _compute_decimal_points_and_weights(scheme, n)
+    x, w = _compute_decimal_quadrature_rule(scheme, n)
     with _set_decimal_context_precision():
         pairs = zip(
             _evaluate_legendre(x, n - 1), get_point_family(scheme).sum_legendre_squares(n), strict=True

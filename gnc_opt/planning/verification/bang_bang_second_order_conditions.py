@@ -177,7 +177,7 @@ def check_bang_bang_second_order(
 ) -> Condition:
     """Return the condition that the reduced Hessian is positive definite in every order of the switches.
 
-    The theorem must apply (`explain_inapplicable_theorem`).
+    The theorem must apply (`explain_why_not_bang_bang`).
     """
     meaning = (
         "The Hessian of the Lagrangian with respect to switching times, end times, free end values and parameters "
@@ -321,7 +321,7 @@ def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     return bool(samples) and all(np.all(np.any(s.is_at_control_bounds, axis=0)) for s in samples)
 
 
-def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
+def explain_why_not_bang_bang(samples: list[PhaseSamples]) -> str:
     """Return the reason why the switching-time problem does not apply, or ""."""
     for s in samples:
         if not s.has_duration:

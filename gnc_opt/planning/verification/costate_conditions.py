@@ -27,8 +27,8 @@ import numpy as np
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.optimality.active_state_constraints import (
-    explain_costate_gap,
     explain_costate_jumps,
+    explain_transversality_residual,
     integrate_multipliers_near_boundaries,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
@@ -69,7 +69,7 @@ def impose_constraints_active_at_ends(
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(explain_costate_gap(s, at, ends).multipliers[rows])
+        pushes.append(explain_transversality_residual(s, at, ends).multipliers[rows])
     problem.clear_cache()
     stated = replace(
         solution,
@@ -162,7 +162,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     for s in samples:
         own = scales.phases[s.leg.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
-        gaps = {end: explain_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        gaps = {end: explain_transversality_residual(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
             left = gap.gap - gap.explained
             left = np.copysign(
@@ -313,7 +313,7 @@ def check_parameter_stationarity(
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     phase = s.leg
-    pushes = [explain_costate_gap(s, at, ends).multipliers for at in (0, -1)]
+    pushes = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
     atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
     times = phase.breaks[[0, *range(1, phase.mesh.segments), -1]]
     x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.applied))

@@ -46,7 +46,7 @@ from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, 
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 
-def reformulate_samples(
+def reformulate_sampled_trajectory(
     problem: Problem, twin: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
     """Return the samples in the variables of ``reformulate_problem(problem)``; q are its first parameters."""
@@ -240,7 +240,7 @@ def _check_reformulated_trajectory(
 ) -> Verdict:
     """Return the verdict in the reformulated controls, without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
-    samples = reformulate_samples(problem, twin, stated, q)
+    samples = reformulate_sampled_trajectory(problem, twin, stated, q)
     q = _append_epigraph_parameters(twin, samples, q)
     return _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, samples, q), q, tol)
 

@@ -124,13 +124,13 @@ class _MinimumSearch:
     cost_rate: float = 0.0
 
     @cached_property
-    def _control_search_box(self) -> tuple[Array, Array]:
+    def _control_search_ranges(self) -> tuple[Array, Array]:
         lower, upper = (limit[self.group, None] for limit in get_control_search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
     def _normalised_controls(self) -> Array:
-        lower, span = self._control_search_box
+        lower, span = self._control_search_ranges
         applied = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(applied - lower, span, out=np.zeros_like(applied), where=span > 0))
 
@@ -148,7 +148,7 @@ class _MinimumSearch:
         )
 
     def _substitute_normalised_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
-        columns, (lower, span) = self.chosen[at], self._control_search_box
+        columns, (lower, span) = self.chosen[at], self._control_search_ranges
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
         return self.s.times[columns], self.s.x[:, columns], u
@@ -189,7 +189,7 @@ class _MinimumSearch:
             self.s.functions.path_control_jacobian(*self._substitute_normalised_controls(shares, at))[
                 :, self.group
             ]
-            * self._control_search_box[1]
+            * self._control_search_ranges[1]
         )
         return set_nonfinite_to_zero(np.moveaxis(jacobian, 2, 0))
 
@@ -198,7 +198,7 @@ class _MinimumSearch:
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
         s, group, (times, x, u) = self.s, self.group, self._substitute_normalised_controls(shares, at)
-        lam, span = s.lam[:, self.chosen[at]], self._control_search_box[1]
+        lam, span = s.lam[:, self.chosen[at]], self._control_search_ranges[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
@@ -238,13 +238,13 @@ class _MinimumSearch:
         u[direction] = np.divide(-slope[direction], strength, out=applied, where=strength > 0)
         least, most = (limit[magnitude, None] for limit in get_control_search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
-        lower, span = self._control_search_box
+        lower, span = self._control_search_ranges
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
     def denormalise_controls(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as applied without a range."""
-        lower, span = self._control_search_box
+        lower, span = self._control_search_ranges
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 
     def find_global_minima(self) -> Array:
@@ -328,7 +328,7 @@ class _MinimumSearch:
         scale = s.control_span[group, None]
         if self.deviation is not None:
             scale = np.where(self.deviation[group, None] > 0, self.deviation[group, None], scale)
-        physical = moves * self._control_search_box[1]
+        physical = moves * self._control_search_ranges[1]
         length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
         slopes = s.switching_functions[np.ix_(group, self.chosen)]

@@ -94,7 +94,7 @@ def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) ->
     )
 
 
-def mark_theorem_inapplicable(condition: Condition, found: KinkPoint) -> Condition:
+def mark_condition_inconclusive_at_kink(condition: Condition, found: KinkPoint) -> Condition:
     """Return a failed condition that requires smoothness as inconclusive.
 
     The minimum principle compares values of H and does not require smoothness in the controls.
@@ -139,7 +139,9 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         if share > 0:
             return KinkPoint(share, where)
     excess = (
-        min(map(_find_largest_nonconvexity, of_ends)) / scales.cost if combined and of_ends[0].size else 0.0
+        min(map(_find_largest_second_difference_excess, of_ends)) / scales.cost
+        if combined and of_ends[0].size
+        else 0.0
     )
     where = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
     return KinkPoint(excess / (1 + excess), where, resolved=False) if excess > SMALL else None
@@ -162,7 +164,7 @@ def _build_unit_directions(n: int) -> tuple[Array, Array]:
     return every / np.maximum(lengths, ROUNDING), lengths
 
 
-def _find_largest_nonconvexity(differences: Array) -> float:
+def _find_largest_second_difference_excess(differences: Array) -> float:
     """Return by how much second differences along sums of directions exceed the sums of those along each."""
     n = round(np.sqrt(differences.shape[1]))  # directions of `_build_unit_directions` without pairs
     change = differences[1] * _build_unit_directions(n - FIXED_DIRECTIONS)[1]

@@ -28,7 +28,7 @@ from gnc_opt.planning.verification.nonsmooth_points import (
     check_concave_kinks,
     find_concave_kink,
     find_nonsmooth_point,
-    mark_theorem_inapplicable,
+    mark_condition_inconclusive_at_kink,
 )
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
@@ -182,7 +182,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     failing = any(c.result is ConditionResult.FAIL for c in checked)
     kinks = check_concave_kinks(concave or rough, failing, falls=concave is not None)
     if rough is not None:
-        checked = [mark_theorem_inapplicable(c, rough) for c in checked]
+        checked = [mark_condition_inconclusive_at_kink(c, rough) for c in checked]
     if missing.value:
         checked = [
             _mark_condition_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c
@@ -295,7 +295,7 @@ def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: flo
 def _check_second_variation(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> list[Condition]:
-    if not second_order.explain_inapplicable_theorem(samples):
+    if not second_order.explain_why_not_bang_bang(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
     solution = free_touch_point_times(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]

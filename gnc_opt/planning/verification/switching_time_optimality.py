@@ -26,7 +26,7 @@ from gnc_opt.planning.verification.active_limits_and_touch_points import (
     mask_controls_set_by_active_limits,
     mask_limits_with_multipliers,
 )
-from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_why_not_bang_bang
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 
@@ -64,7 +64,7 @@ def _are_control_jump_times_variables(jumps: list[Jump], samples: list[PhaseSamp
     jump of a single control and no active state limit."""
     if any(jump.beyond for jump in jumps):
         return False
-    if not explain_inapplicable_theorem(samples):
+    if not explain_why_not_bang_bang(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
     limited = any(np.any(mask_limits_with_multipliers(s, s.times)) or find_costate_jumps(s) for s in samples)

@@ -412,8 +412,8 @@ def jumping(t: Array, k: int) -> Any:
 
 def test_values_derivatives_and_gradients_of_rows() -> None:
     here = constraints(falling, steady, jumping, state_bounds=interval([-1, -9], [4, 9]))
-    assert here.n_rows == 3 and here.row_bounds.upper.tolist() == [5, 4, 9]
-    assert here.row_bounds.lower.tolist() == [-np.inf, -1, -9]
+    assert here.n_rows == 3 and here.constraint_row_bounds.upper.tolist() == [5, 4, 9]
+    assert here.constraint_row_bounds.lower.tolist() == [-np.inf, -1, -9]
     t = np.array([0.5, 3.0])
     x, u = falling(t, 0), steady(t, 0)
     x, u = np.array(x), np.array(u)

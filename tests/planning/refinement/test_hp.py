@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.mesh.mesh_update import (
     KINK_ESTIMATE_ORDER,
     Kink,
     _bracket_constraint_activation_time,
-    choose_breaks_around_kinks,
+    choose_mesh_breaks_around_kinks,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.refinement_history import Actions
@@ -394,12 +394,12 @@ def test_boundaries_enclose_kinks(kinks: Any, expected: list[float], monkeypatch
     """The segment from 2 to 3 of a phase of 4 s."""
     leg = fake(breaks=np.array([0.0, 2.0, 3.0, 4.0]), duration=4.0)
     monkeypatch.setattr(
-        sys.modules[choose_breaks_around_kinks.__module__],
+        sys.modules[choose_mesh_breaks_around_kinks.__module__],
         "_locate_largest_violation",
         lambda error, k: [2.5],
     )
     error: Any = fake(samples=fake(leg=leg))
-    found = choose_breaks_around_kinks(error, 1, [Kink(*kink) for kink in kinks])
+    found = choose_mesh_breaks_around_kinks(error, 1, [Kink(*kink) for kink in kinks])
     assert found == pytest.approx([2.0, *expected, 3.0], rel=1e-12)
 
 

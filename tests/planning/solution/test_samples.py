@@ -50,7 +50,7 @@ def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
     assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))
     assert right.weights[[0, n + 1, n + 2, -1]].tolist() == [0.0] * 4
     assert right.weights.sum() == pytest.approx(1.0) and right.weights[1] == pytest.approx(0.25 * weights[1])
-    assert np.flatnonzero(right.is_segment_end).tolist() == [n + 1, 2 * n + 3]
+    assert np.flatnonzero(right.is_sample_at_segment_end).tolist() == [n + 1, 2 * n + 3]
     assert right.span == 1.0
     assert right.weights @ right.times**9 == pytest.approx(0.1, rel=1e-13)
 

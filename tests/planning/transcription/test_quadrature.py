@@ -18,7 +18,7 @@ from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     Array,
     _build_collocation_rule,
-    _compute_decimal_points_and_weights,
+    _compute_decimal_quadrature_rule,
     build_differentiation_matrix,
     build_lagrange_interpolation_matrix,
     compute_barycentric_weights,
@@ -342,7 +342,7 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
         before = repr(getcontext())
         scaled = compute_barycentric_weights(nodes)
         table = _build_collocation_rule.__wrapped__("LGL", 9).differentiation
-        x, w = _compute_decimal_points_and_weights.__wrapped__("LG", 9)
+        x, w = _compute_decimal_quadrature_rule.__wrapped__("LG", 9)
         assert repr(getcontext()) == before
     np.testing.assert_allclose(scaled, exact / np.max(np.abs(exact)), rtol=1e-14)
     np.testing.assert_array_equal(table, get_collocation_rule("LGL", 9).differentiation)

@@ -287,7 +287,7 @@ def test_bounds_of_all_variables_and_rows() -> None:
     dynamics = np.concatenate([r.ravel() for r in part.dynamics_rows])
     assert not rows.lower[dynamics].any() and not rows.upper[dynamics].any()
     assert set(rows.upper[part.path_rows[0]]) == {100.0} and set(rows.lower[part.path_rows[1]]) == {-50.0}
-    ends = program.boundary_row_indices
+    ends = program.boundary_constraint_row_indices
     assert list(ends) == [
         "duration of phase leg",
         "length of arc 1, phase leg",

@@ -756,7 +756,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     }
     pushes[0].limits, pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0]), interval([0.0, 0.0], [9.0, 1.0])
     drifts: list[Any] = []
-    monkeypatch.setattr(costates, "explain_costate_gap", lambda s, at, ends: pushes[at])
+    monkeypatch.setattr(costates, "explain_transversality_residual", lambda s, at, ends: pushes[at])
     monkeypatch.setattr(
         costates,
         "_check_time_transversality",

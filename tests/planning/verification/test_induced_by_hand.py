@@ -15,7 +15,7 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification import bang_bang_second_order_conditions as second_order
-from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_why_not_bang_bang
 
 Array = NDArray[np.float64]
 
@@ -40,12 +40,12 @@ def bang(**changes: Any) -> PhaseSamples:
 def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
     """A millionth of H for paths; a ten-thousandth of the cost for states over the phase's length."""
     base = bang()
-    assert explain_inapplicable_theorem([base]) == ""
+    assert explain_why_not_bang_bang([base]) == ""
     least = 1e-6 * base.hamiltonian_scale
     for factor, told in ((0.9, False), (1.1, True)):
         for sign in (1.0, -1.0):
             pushed = bang(paths=lambda t, k, m=sign * factor * least: np.array([0 * t, m + 0 * t]))
-            assert explain_inapplicable_theorem([base, pushed]) == (
+            assert explain_why_not_bang_bang([base, pushed]) == (
                 "phase leg: a path constraint is active" if told else ""
             )
     span = 1e-4 * base.cost_scale / base.leg.duration
@@ -54,24 +54,22 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
             rows = np.zeros((2, 1))
             rows[i] = factor * span / base.state_scale[i]
             pushed = bang(states=lambda t, k, m=rows: m + 0 * t)
-            assert explain_inapplicable_theorem([pushed]) == (
+            assert explain_why_not_bang_bang([pushed]) == (
                 "phase leg: a state bound is active" if told else ""
             )
             rows *= base.leg.duration
             jumping = bang(lam=lambda t, k, m=rows: np.array([-1 + 0 * t, t - 1]) + k * m)
-            assert bool(explain_inapplicable_theorem([jumping])) is told
+            assert bool(explain_why_not_bang_bang([jumping])) is told
 
 
 def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> None:
     inside = bang(control_bounds=by_hand.interval(-1.0, 2.0))
-    assert (
-        explain_inapplicable_theorem([inside]) == "phase leg, t = 0 s, a: the control is between its limits"
-    )
+    assert explain_why_not_bang_bang([inside]) == "phase leg, t = 0 s, a: the control is between its limits"
     assert not second_order.is_bang_bang([bang(), inside]) and second_order.is_bang_bang([bang()])
     assert not second_order.is_bang_bang([])
     vanished = replace(bang().leg, final_time=0.0, final_time_bounds=by_hand.interval(0.0, 0.0))
     none = PhaseSamples.from_phase(vanished, bang().functions)
-    assert explain_inapplicable_theorem([none]) == "phase leg has no length"
+    assert explain_why_not_bang_bang([none]) == "phase leg has no length"
 
 
 @pytest.mark.slow

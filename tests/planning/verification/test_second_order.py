@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
-    explain_inapplicable_theorem,
+    explain_why_not_bang_bang,
 )
 from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
 
@@ -194,7 +194,7 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 
 def why_inapplicable(solution: go.Solution) -> str:
-    return explain_inapplicable_theorem(list(recompute_stored_data(solution).samples().values()))
+    return explain_why_not_bang_bang(list(recompute_stored_data(solution).samples().values()))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

@@ -13,7 +13,7 @@ from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.verification.nonsmooth_points import (
     KinkPoint,
     _find_longest_interval_on_kink,
-    mark_theorem_inapplicable,
+    mark_condition_inconclusive_at_kink,
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
@@ -291,7 +291,8 @@ def test_only_values_of_the_hamiltonian_fail_at_kinks_and_of_controls_alone(
     name: str, of_states: bool, fails: bool
 ) -> None:
     failed = Condition(name, go.ConditionResult.FAIL, 1.0, 0.0, "here", "meaning")
-    found = mark_theorem_inapplicable(failed, KinkPoint(0.0, "there", jump=False, of_states=of_states))
+    kink = KinkPoint(0.0, "there", jump=False, of_states=of_states)
+    found = mark_condition_inconclusive_at_kink(failed, kink)
     assert (found.result is go.ConditionResult.FAIL) == fails
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from testing import constructed_solutions as by_hand
-from testing.internals import PhaseSamples, check_strict_bang_bang_property, explain_inapplicable_theorem
+from testing.internals import PhaseSamples, check_strict_bang_bang_property, explain_why_not_bang_bang
 from testing.models import dynamics, one_phase
 from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
@@ -348,13 +348,13 @@ def test_simple_meshes_get_thirty_points() -> None:
 
 def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
-    assert explain_inapplicable_theorem([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
+    assert explain_why_not_bang_bang([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
     text = "phase leg, t = 0.8 s, u: the control is between its limits"
-    assert explain_inapplicable_theorem([s, between]) == text
+    assert explain_why_not_bang_bang([s, between]) == text
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
-    text = explain_inapplicable_theorem([PhaseSamples.from_phase(short, s.functions)])
+    text = explain_why_not_bang_bang([PhaseSamples.from_phase(short, s.functions)])
     assert text == "phase leg has no length"
 
 

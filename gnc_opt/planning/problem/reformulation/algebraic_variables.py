@@ -79,7 +79,7 @@ class AlgebraicVariable:
         initial = [phase.initial_state(n) for n in phase.model.states.names if n != self.symbol.variable.name]
         value = ca.substitute(self.residual, own, ca.vertcat(phase.initial_time, *initial, start))
         text = f"{self.symbol.variable.name} is replaced by a state that follows from {self.constraint}"
-        phase.restatement = ControlMap.identity(phase.model, (text,)).compose_with_earlier_map(
+        phase.restatement = ControlMap.create_identity_map(phase.model, (text,)).compose_control_maps(
             phase.restatement
         )
         problem.constraints[name] = Constraint(name, value, constraint.interval)

@@ -104,7 +104,7 @@ class EquivalentBounds:
         phase.numbers = replace(phase.numbers, controls=box)
         phase.paths = {name: c for name, c in phase.paths.items() if name not in self.boxes}
         texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
-        phase.restatement = ControlMap.identity(phase.model, texts).compose_with_earlier_map(
+        phase.restatement = ControlMap.create_identity_map(phase.model, texts).compose_control_maps(
             phase.restatement
         )
 

@@ -266,7 +266,7 @@ class EndpointEpigraph:
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         phase = next(iter(problem.phases.values()))
-        phase.restatement = ControlMap.identity(phase.model, self.texts).compose_with_earlier_map(
+        phase.restatement = ControlMap.create_identity_map(phase.model, self.texts).compose_control_maps(
             phase.restatement
         )
 

@@ -67,7 +67,7 @@ class ReformulatedPhase:
         phase.model = self.model.with_parameters(**known)
         phase.numbers = numbers
         phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
-        phase.restatement = self.restatement.compose_with_earlier_map(phase.restatement)
+        phase.restatement = self.restatement.compose_control_maps(phase.restatement)
 
 
 def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:

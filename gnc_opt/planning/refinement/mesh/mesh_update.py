@@ -68,7 +68,7 @@ def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> lis
     phase, worst = error.samples.leg, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
     kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
-    cuts = choose_breaks_around_kinks(error, k, kinks) if kinks else []
+    cuts = choose_mesh_breaks_around_kinks(error, k, kinks) if kinks else []
     if len(cuts) > 2:
         middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts)]
         kinked = [any(kink.start <= t <= kink.end for kink in kinks) for t in middles]
@@ -218,7 +218,7 @@ def find_active_constraint_multipliers(error: PhaseError) -> Array:
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale, NEGLIGIBLE)), pull, 0.0)
 
 
-def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
+def choose_mesh_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends.
 
     If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.

@@ -84,7 +84,10 @@ def find_optimal_switching_times(
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
-    switches, steps = _list_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
+    switches, steps = (
+        _list_control_switches(s, structure),
+        FLOW_INITIAL_STEPS if known is None else known.steps,
+    )
     flight = (
         None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
     )
@@ -194,7 +197,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 # --- switches -------------------------------------------------------------------------------------------
 
 
-def _list_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
+def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.leg.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
     first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
