@@ -73,9 +73,9 @@ class DataclassSerializer:
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
         return _convert_to_json_value(value.item() if isinstance(value, np.generic) else value, place)
 
-    def restore_from_json_tree(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
+    def restore_result_from_json_tree(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
         if isinstance(tree, list):
-            return tuple(self.restore_from_json_tree(item, arrays) for item in tree)
+            return tuple(self.restore_result_from_json_tree(item, arrays) for item in tree)
         if not isinstance(tree, dict):
             return tree
         if "array" in tree:
@@ -85,17 +85,19 @@ class DataclassSerializer:
         if "pieces" in tree:
             return tuple(np.split(arrays[tree["pieces"]], np.cumsum(tree["sizes"])[:-1], axis=-1))
         if "alike" in tree:
-            different = [self.restore_from_json_tree(item, arrays) for item in tree["alike"]]
+            different = [self.restore_result_from_json_tree(item, arrays) for item in tree["alike"]]
             return tuple(different[i] for i in arrays[tree["which"]])
         if "float" in tree:
             return float(tree["float"])
         if "map" in tree:
-            return {key: self.restore_from_json_tree(item, arrays) for key, item in tree["map"].items()}
+            return {
+                key: self.restore_result_from_json_tree(item, arrays) for key, item in tree["map"].items()
+            }
         kind: Any = {c.__name__: c for c in self.classes}[tree["type"]]
         if "value" in tree:
             return kind(tree["value"])
         return kind(
-            **{key: self.restore_from_json_tree(item, arrays) for key, item in tree["fields"].items()}
+            **{key: self.restore_result_from_json_tree(item, arrays) for key, item in tree["fields"].items()}
         )
 
     def _serialise_sequence_to_json(
@@ -216,7 +218,9 @@ class FileFormat:
             trees = {
                 name: tree for name, tree in header.items() if name not in (*_ABOUT_THE_FILE, *self.unused)
             }
-            values = {name: self.packing.restore_from_json_tree(tree, arrays) for name, tree in trees.items()}
+            values = {
+                name: self.packing.restore_result_from_json_tree(tree, arrays) for name, tree in trees.items()
+            }
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result
             raise _build_damaged_archive_error(path, self.noun) from error

@@ -50,7 +50,7 @@ class StateDeviations:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
         return StateDeviations(self.sources, a @ self.by_parameters + added, noise)
 
-    def transform_deviations_linearly(self, matrix: Array) -> StateDeviations:
+    def transform_state_deviations_linearly(self, matrix: Array) -> StateDeviations:
         """Return the deviations of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
         return StateDeviations(self.sources, matrix @ self.by_parameters, noise)

@@ -229,7 +229,7 @@ class _CovariancePropagation:
         x = self.flight.kernel.state.split_vector_by_name(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.state_dimension))
         to_errors[:, places] = self._state_error_jacobian(x).full()
-        errors = scatter.transform_deviations_linearly(to_errors)
+        errors = scatter.transform_state_deviations_linearly(to_errors)
         self.values["state"].append(x)
         self.covariances_by_source["error"].append(errors.covariances_by_source)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
@@ -238,7 +238,7 @@ class _CovariancePropagation:
         values = self.linearization.linearised_output_layout.split_vector_by_name(y)
         places = self.linearization.linearised_output_layout.split_vector_by_name(np.eye(y.size))
         for kind, name in _KINDS.items():
-            part = scatter.transform_deviations_linearly(places[name])
+            part = scatter.transform_state_deviations_linearly(places[name])
             self.values[kind].append(values[name])
             self.covariances_by_source[kind].append(part.covariances_by_source)
 

@@ -160,16 +160,18 @@ class PredictionHorizon:
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
             found.append(
-                (a @ rows + self._pad_block_to_all_qp_variables(self.rows.lower.size * j, f), a @ rest)
+                (a @ rows + self._pad_coefficients_with_zero_columns(self.rows.lower.size * j, f), a @ rest)
             )
         return found
 
     def _predict_mpc_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._pad_block_to_all_qp_variables(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._pad_coefficients_with_zero_columns(
+            self.rows.lower.size * j, g
+        ) - k @ rows, u_ff - k @ rest
 
-    def _pad_block_to_all_qp_variables(self, begin: int, block: Any) -> Any:
+    def _pad_coefficients_with_zero_columns(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_qp_variables - end))
 
@@ -189,7 +191,7 @@ class PredictionHorizon:
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
                         place = self.n_sign_free_qp_variables + j * len(rows.soft_limited_states) + slack
-                        row = row + self._pad_block_to_all_qp_variables(
+                        row = row + self._pad_coefficients_with_zero_columns(
                             place, ca.DM(-side / rows.penalty_square_roots[slack])
                         )
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]

@@ -343,7 +343,7 @@ def design_sliding_mode(
     """
     reference = read_design_reference(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
-    coefficients = _compute_surface_coefficients(errors, slopes)
+    coefficients = _compute_sliding_surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
     switching = build_switching_control(*law, memory=observer is not None)
     _require_stable_sampled_loop(errors.labels, coefficients, switching)
@@ -375,7 +375,7 @@ def design_sliding_mode(
     )
 
 
-def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
+def _compute_sliding_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
         given = _read_sliding_surface_slope(errors, slopes, label, i) if r > 1 else []

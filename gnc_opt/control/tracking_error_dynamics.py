@@ -60,10 +60,12 @@ class ErrorDynamics:
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
         """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
         columns = (np.asarray(v, dtype=float).reshape(-1, 1) for v in (x_ref, u_ref))
-        a, b = self.linearize_at_times(np.array([t], dtype=float), *columns)
+        a, b = self.linearize_error_dynamics_at_times(np.array([t], dtype=float), *columns)
         return a[0], b[0]
 
-    def linearize_at_times(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
+    def linearize_error_dynamics_at_times(
+        self, times: Array, x_ref: Array, u_ref: Array
+    ) -> tuple[Array, Array]:
         """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
         n, rows = self.model.states.size, self.errors.size
         p = self.model.parameter_values

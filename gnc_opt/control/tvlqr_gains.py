@@ -156,7 +156,9 @@ class _PlantMatrices:
     def linearize(self, times: Array) -> None:
         """Evaluate the matrices at the times (n,) of the next step."""
         inside = np.clip(times, *self.span)  # one-sided limit at jumps
-        a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
+        a, b = self.deviation.linearize_error_dynamics_at_times(
+            inside, self.reference.x(inside), self.reference.u(inside)
+        )
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
 
     def get_plant_matrices_at_time(self, t: float) -> tuple[Array, Array]:
@@ -226,7 +228,7 @@ def _iterate_riccati_recursion(
     def linearize_plant_within_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.control_after_final_time[:, None], reference.u(within))
-        return deviation.linearize_at_times(within, reference.x(within), u)
+        return deviation.linearize_error_dynamics_at_times(within, reference.x(within), u)
 
     steps = [
         discretize_time_varying_plant(

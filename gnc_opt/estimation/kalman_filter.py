@@ -152,13 +152,16 @@ class KalmanFilter:
             ca.SX.sym("u", augmented.model.controls.size),
         )
         F, early, late = augmented.discretize_error_dynamics(t, x, x, u, augmented.dt, self.density)
-        maps = [_compute_sparsity_mask(F)]
+        maps = [_compute_matrix_sparsity_mask(F)]
         if augmented.has_delay_lines:
-            maps.append(_compute_sparsity_mask(self._linearize_delayed_state_shift(t, x)[1]))
+            maps.append(_compute_matrix_sparsity_mask(self._linearize_delayed_state_shift(t, x)[1]))
         rows = np.vstack(
-            [_compute_sparsity_mask(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
+            [
+                _compute_matrix_sparsity_mask(view.slope)
+                for view in self._linearize_measurements(t, x, ca.SX(n, n))
+            ]
         )
-        P = np.eye(n, dtype=bool) | _compute_sparsity_mask(early) | _compute_sparsity_mask(late)
+        P = np.eye(n, dtype=bool) | _compute_matrix_sparsity_mask(early) | _compute_matrix_sparsity_mask(late)
         while True:
             new = P.copy()
             for each in maps:
@@ -310,5 +313,5 @@ def _fix_time_and_command_in_flow_map(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 
-def _compute_sparsity_mask(matrix: Any) -> Any:
+def _compute_matrix_sparsity_mask(matrix: Any) -> Any:
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

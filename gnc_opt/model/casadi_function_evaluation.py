@@ -147,13 +147,13 @@ def build_single_point_evaluator(function: Any, *constants: ArrayLike) -> Callab
     if result.size:
         buffer.set_res(0, memoryview(result.data))
 
-    def evaluate_at_single_point(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+    def evaluate_function_at_single_point(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
         for argument, value in zip(arguments[:free], values, strict=True):
             argument[:] = value
         run()
         return result.copy()
 
-    return evaluate_at_single_point
+    return evaluate_function_at_single_point
 
 
 def evaluate_casadi_batch(function: Any, n: int, *arguments: Array) -> Array:

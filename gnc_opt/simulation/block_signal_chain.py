@@ -120,6 +120,6 @@ def replace_waveforms_by_block_output(
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave.apply_memoryless_function(partial(slice_symbolic_rows, begin=at, end=at + size))
+        rest[name] = wave.apply_function_to_waveform(partial(slice_symbolic_rows, begin=at, end=at + size))
         at += size
     return rest

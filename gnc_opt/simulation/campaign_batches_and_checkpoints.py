@@ -49,7 +49,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for path in sorted(folder.glob(_PATTERN)):
-        part = _load_batch_file(path)
+        part = _load_run_batch_file(path)
         _require_checkpoint_of_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
@@ -62,7 +62,7 @@ def store_run_batch_file(folder: Path, part: Campaign) -> None:
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
 
 
-def _load_batch_file(path: Path) -> Campaign:
+def _load_run_batch_file(path: Path) -> Campaign:
     try:
         return Campaign.load(path)
     except GncOptError as error:
@@ -105,7 +105,7 @@ def merge_run_batches(
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
-    def concatenate_batch_arrays(attribute: str, size: int) -> Array:
+    def concatenate_run_batch_arrays(attribute: str, size: int) -> Array:
         parts = [
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
@@ -114,7 +114,7 @@ def merge_run_batches(
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
-    states = concatenate_batch_arrays("states", flight.states.size)
+    states = concatenate_run_batch_arrays("states", flight.states.size)
     outcomes: list[Outcome] = []
     for part in batches:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
@@ -129,12 +129,12 @@ def merge_run_batches(
         "memory": flight.memory.size,
         "replans": 2,
     }
-    arrays: dict[str, Any] = {name: concatenate_batch_arrays(name, size) for name, size in sizes.items()}
+    arrays: dict[str, Any] = {name: concatenate_run_batch_arrays(name, size) for name, size in sizes.items()}
     if flight.quantities.size:
         count, at = flight.quantities.size, select_quantity_sample_steps(flight.n_steps)
-        samples = concatenate_batch_arrays("samples", count * at.size).reshape(count, at.size, -1)
+        samples = concatenate_run_batch_arrays("samples", count * at.size).reshape(count, at.size, -1)
         arrays |= {
-            "sums": concatenate_batch_arrays("sums", 3 * count),
+            "sums": concatenate_run_batch_arrays("sums", 3 * count),
             "samples": samples,
             "sample_times": flight.times[at],
         }
@@ -147,7 +147,7 @@ def merge_run_batches(
         states=states,
         errors=errors,
         target=goal,
-        integration_error=concatenate_batch_arrays("integration_error", 1)[0],
+        integration_error=concatenate_run_batch_arrays("integration_error", 1)[0],
         outcomes=tuple(outcomes),
         span=(float(flight.times[0]), float(flight.times[-1])),
         limits={},

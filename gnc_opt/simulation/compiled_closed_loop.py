@@ -335,7 +335,7 @@ class CompiledLoop:
             self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
         )
 
-    def _update_plan_if_due(
+    def _update_guidance_plan_if_due(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
         """Re-plan at the first of the steps ``rows`` if a plan is due, and write the new plan to these rows."""
@@ -376,7 +376,7 @@ class CompiledLoop:
             if first == 0:
                 X, C = self._build_initial_closed_loop_states(rows[0], P)
             else:
-                self._update_plan_if_due(course, first, X, rows, C)
+                self._update_guidance_plan_if_due(course, first, X, rows, C)
             before, logs = X.copy(), None
             if logged and not self._has_event_ended_run(X[0]):
                 logs = self._step_executors[0].propagate_steps_with_log(before[0], rows, C[0])

@@ -372,7 +372,7 @@ class WheelArray(Block):
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
             shift = -minimise_peak_along_null_vector(h_w - wanted * tick.h, n) / tick.h
-            wanted = wanted + _limit_null_space_shift(shift, wanted, n, p["max_torque"]) * n
+            wanted = wanted + _limit_null_space_torque(shift, wanted, n, p["max_torque"]) * n
         torque = clip_and_propagate_nan(wanted, -p["max_torque"], p["max_torque"])
         torque = clip_and_propagate_nan(
             torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h
@@ -400,7 +400,7 @@ class WheelArray(Block):
         return momenta
 
 
-def _limit_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
+def _limit_null_space_torque(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
     """Return the shift along n, reduced so that all torques stay within their limits."""
     for i in range(n.size):
         if n[i] == 0:

@@ -39,7 +39,7 @@ class ControlStep:
         self.plant_p = stack_named_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
-        zero = {k: self._list_block_memory_sizes(links, k) for k, links in groups}
+        zero = {k: self._list_block_state_sizes(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
             k: [link.block.noise_size(link.size) * (m if k == "actuator" else 1) for link in links]
@@ -89,7 +89,7 @@ class ControlStep:
     def _list_event_record_fields(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
-    def _list_block_memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
+    def _list_block_state_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = StepContext(0.0, length, self.wiring.dt, self.split_plant_state(x))

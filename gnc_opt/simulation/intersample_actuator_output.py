@@ -48,7 +48,7 @@ class ActuatorWaveform:
         """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
-    def apply_memoryless_function(self, function: Callable[[Any], Any]) -> ActuatorWaveform:
+    def apply_function_to_waveform(self, function: Callable[[Any], Any]) -> ActuatorWaveform:
         """Return the wave after a memoryless block."""
         at = self.at
         return ActuatorWaveform(

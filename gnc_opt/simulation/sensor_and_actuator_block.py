@@ -143,7 +143,7 @@ class Block:
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.is_memoryless:
-            return wave.apply_memoryless_function(lambda y: self.step(tick, y, state, p, noise).signal), step
+            return wave.apply_function_to_waveform(lambda y: self.step(tick, y, state, p, noise).signal), step
         return ActuatorWaveform(step.signal), step
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:

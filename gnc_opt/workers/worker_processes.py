@@ -50,7 +50,7 @@ class SharedObject(Generic[Object]):
     @classmethod
     def wrap_picklable_object(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
         """Return a shared object that is pickled itself."""
-        return cls(value, name, remedy, partial(_get_inherited_object, value))
+        return cls(value, name, remedy, partial(_get_object_of_parent_process, value))
 
     @property
     def parcel(self) -> LocalParcel[Object]:
@@ -97,7 +97,7 @@ def _unpickle_shared_object(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 
-def _get_inherited_object(value: Object) -> Object:
+def _get_object_of_parent_process(value: Object) -> Object:
     return value
 
 

@@ -112,7 +112,7 @@ def assert_same(a: Any, b: Any, place: str = "") -> None:
 def test_every_field_survives(tree: Tree) -> None:
     arrays: dict[str, Any] = {}
     text = json.dumps(PACKING.serialise_to_json_tree(tree, "", arrays), allow_nan=False)
-    assert_same(tree, PACKING.restore_from_json_tree(json.loads(text), arrays))
+    assert_same(tree, PACKING.restore_result_from_json_tree(json.loads(text), arrays))
 
 
 @settings(max_examples=20)
@@ -134,7 +134,7 @@ def test_what_is_alike_is_written_once() -> None:
     packed = PACKING.serialise_to_json_tree(leaves, "leaves", arrays)
     assert len(json.dumps(packed)) < 1000
     assert arrays["leaves"].shape == (5000,)
-    assert_same(leaves, PACKING.restore_from_json_tree(packed, arrays))  # also the sign of zero
+    assert_same(leaves, PACKING.restore_result_from_json_tree(packed, arrays))  # also the sign of zero
     arrays.clear()
     assert len(PACKING.serialise_to_json_tree(leaves[:2], "leaves", arrays)) == 2 and not arrays
 
@@ -142,7 +142,7 @@ def test_what_is_alike_is_written_once() -> None:
 def test_arrays_that_were_read_cannot_be_changed() -> None:
     arrays: dict[str, Any] = {}
     tree = PACKING.serialise_to_json_tree({"x": np.zeros(3)}, "", arrays)
-    assert not PACKING.restore_from_json_tree(tree, arrays)["x"].flags.writeable
+    assert not PACKING.restore_result_from_json_tree(tree, arrays)["x"].flags.writeable
 
 
 def test_pieces_are_one_entry() -> None:
@@ -150,7 +150,7 @@ def test_pieces_are_one_entry() -> None:
     arrays: dict[str, Any] = {}
     packed = PACKING.serialise_to_json_tree(pieces, "x", arrays)
     assert list(arrays) == ["x"] and arrays["x"].shape == (2, sum(range(50)))
-    assert_same(pieces, PACKING.restore_from_json_tree(packed, arrays))
+    assert_same(pieces, PACKING.restore_result_from_json_tree(packed, arrays))
 
 
 def test_places_that_would_be_the_same_entry_are_kept_apart() -> None:
@@ -160,7 +160,7 @@ def test_places_that_would_be_the_same_entry_are_kept_apart() -> None:
     arrays: dict[str, Any] = {}
     packed = PACKING.serialise_to_json_tree(names, "", arrays)
     assert len(arrays) == 5 and not any(set(name) & set("/\\\0") for name in arrays)
-    assert_same(names, PACKING.restore_from_json_tree(packed, arrays))
+    assert_same(names, PACKING.restore_result_from_json_tree(packed, arrays))
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def test_what_would_not_come_back_is_refused(value: Any, message: str, tmp_path:
 def test_classes_that_are_not_listed_are_never_made() -> None:
     packed = {"type": "Stranger", "fields": {"value": 1.0}}
     with pytest.raises(KeyError):
-        PACKING.restore_from_json_tree(packed, {})
+        PACKING.restore_result_from_json_tree(packed, {})
 
 
 def test_older_versions_are_read_and_unknown_ones_refused(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ from gnc_opt.simulation.confidence_intervals import (
     share_below_maximum,
 )
 from gnc_opt.simulation.control_allocation import (
-    _limit_null_space_shift,
+    _limit_null_space_torque,
     find_null_space_vector,
     minimise_peak_along_null_vector,
     pseudo_inverse,

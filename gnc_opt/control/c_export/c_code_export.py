@@ -134,7 +134,7 @@ def export_c(
     header.write_text(files.write_c_header(), encoding="ascii")
     source.write_text(files.write_c_source(), encoding="ascii")
     driver.write_text(files.write_test_driver(), encoding="ascii")
-    size = table.count_table_bytes(files.numbers)
+    size = table.count_schedule_table_bytes(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
@@ -287,7 +287,7 @@ class CSourceFiles:
             f"/* Of a step, {bounded}; no memory is allocated. */",
             f"#define {upper}_OPERATIONS {self.max_operation_count} /* arithmetic, comparisons, calls */",
             f"#define {upper}_STACK {self.stack_size_bytes} /* bytes of the arrays on the stack, at most */",
-            f"#define {upper}_TABLE {self.table.count_table_bytes(self.numbers)} /* bytes of the schedule */",
+            f"#define {upper}_TABLE {self.table.count_schedule_table_bytes(self.numbers)} /* bytes of the schedule */",
             "",
             "/* Contents of the arrays, with units:",
         ]

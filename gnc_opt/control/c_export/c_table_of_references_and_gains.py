@@ -26,7 +26,7 @@ class CScheduleTable:
     rows: Array
     layout: Layout
 
-    def count_table_bytes(self, numbers: CFloatType) -> int:
+    def count_schedule_table_bytes(self, numbers: CFloatType) -> int:
         return self.rows.size * numbers.float_size_bytes
 
     def write_schedule_table_code(self, numbers: CFloatType) -> list[str]:

@@ -21,7 +21,7 @@ from gnc_opt.control import (
 )
 from gnc_opt.control.sliding_mode import (
     SwitchingControl,
-    _compute_surface_coefficients,
+    _compute_sliding_surface_coefficients,
     build_switching_control,
 )
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
@@ -322,7 +322,7 @@ def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
 def test_slopes_that_make_no_surface_are_refused(slopes, message):
     errors = SimpleNamespace(labels=("a", "b"), relative_degrees=(1, 3), n_outputs=2)
     with pytest.raises((DesignError, UnknownNameError), match=message):
-        _compute_surface_coefficients(errors, slopes)
+        _compute_sliding_surface_coefficients(errors, slopes)
 
 
 @pytest.mark.parametrize(

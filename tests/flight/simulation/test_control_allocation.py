@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 from testing.internals import (
-    _limit_null_space_shift,
+    _limit_null_space_torque,
     find_null_space_vector,
     minimise_peak_along_null_vector,
     pseudo_inverse,
@@ -241,5 +241,5 @@ def test_thrusters_that_cannot_push_back_are_refused():
 @pytest.mark.parametrize(("asked", "given"), [(3.0, 0.55), (0.5, 0.5), (-0.4, -0.4), (-3.0, -0.45)])
 def test_a_shift_along_the_null_space_stops_where_the_first_torque_meets_its_limit(asked, given):
     """0.2 + s/2 and 0.1 - 2 s within 1: s from -2.4 to 1.6 for the first, from -0.45 to 0.55 for the second."""
-    found = _limit_null_space_shift(ca.SX(asked), ca.SX([0.2, 0.1]), np.array([0.5, -2.0]), ca.SX([1.0, 1.0]))
+    found = _limit_null_space_torque(ca.SX(asked), ca.SX([0.2, 0.1]), np.r_[0.5, -2.0], ca.SX([1.0, 1.0]))
     assert float(ca.DM(ca.evalf(found))) == pytest.approx(given, rel=1e-14)

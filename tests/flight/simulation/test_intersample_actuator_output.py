@@ -25,7 +25,7 @@ def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, step
     lagged = ActuatorWaveform(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
     value = (
         stack_actuator_waveforms([lagged, ActuatorWaveform(ca.SX(7.0))])
-        .apply_memoryless_function(lambda y: 0.5 * y)
+        .apply_function_to_waveform(lambda y: 0.5 * y)
         .sample_runge_kutta_stage_inputs(begin, sigma)
     )
     for k in range(steps):
