@@ -149,9 +149,8 @@ class WorkBudget:
     def record_solve_work(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         variables = _count_trajectory_variables(solution.phases.values())
-        self.record_work(
-            compute_work_of_nlp_solve(variables, solution.statistics.iterations) / WORK_PER_SECOND
-        )
+        work = compute_work_of_nlp_solve(variables, solution.statistics.iterations)
+        self.record_work(work / WORK_PER_SECOND)
 
     def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:
         """Return the remaining iterations of a solve, at least one; None: unlimited."""

@@ -245,9 +245,8 @@ class _StepDerivatives:
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, shares in enumerate(stage_weights):
-                np.matmul(
-                    slope_jacobians[i], sum_runge_kutta_stage_jacobians(shares, moved[i]), out=change[i]
-                )
+                by_stage = sum_runge_kutta_stage_jacobians(shares, moved[i])
+                np.matmul(slope_jacobians[i], by_stage, out=change[i])
             self.jacobians = sum_runge_kutta_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
         self._rates, self._inputs, self._places = rates, inputs, places
         self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians

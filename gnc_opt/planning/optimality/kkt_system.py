@@ -123,9 +123,8 @@ class ProgramPoint:
         variables = ProgramLimits.determine_active_set(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
-        rows = ProgramLimits.determine_active_set(
-            row_box, g, lam / row_weights, transcription.constraint_row_labels
-        )
+        labels = transcription.constraint_row_labels
+        rows = ProgramLimits.determine_active_set(row_box, g, lam / row_weights, labels)
         return cls(
             problem,
             transcription,

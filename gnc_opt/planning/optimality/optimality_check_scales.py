@@ -198,12 +198,8 @@ class Scales:
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (
-            (shares < CHEAP_AFFINE)
-            & (shares > CHEAP_CURVED)
-            & (bends > 0)
-            & mask_controls_with_cost_curvature(s)
-        )
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0)
+        cheap &= mask_controls_with_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = differentiate_final_state_by_controls(s)

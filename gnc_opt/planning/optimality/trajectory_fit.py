@@ -82,9 +82,8 @@ class FittedPhase:
 def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """Return the same polynomials with values at the nodes of every part of their segments."""
     nodes = whole.nodes[0]  # of all segments
-    matrices = [
-        build_lagrange_interpolation_matrix(nodes, (2 * k + 1 + nodes) / parts - 1).T for k in range(parts)
-    ]
+    places = [(2 * k + 1 + nodes) / parts - 1 for k in range(parts)]
+    matrices = [build_lagrange_interpolation_matrix(nodes, at).T for at in places]
     values = tuple(own @ matrix for own in whole.values for matrix in matrices)
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 

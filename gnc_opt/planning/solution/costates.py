@@ -235,10 +235,8 @@ class PhaseCostates:
         for k, rule in enumerate(self.collocation.collocation_rules):
             here = _get_segment_point_slice(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
-            change = (
-                self.lam[:, here] @ build_lagrange_interpolation_matrix(rule.points, [1.0])[0]
-                - self.end[:, k]
-            )
+            to_end = build_lagrange_interpolation_matrix(rule.points, [1.0])[0]
+            change = self.lam[:, here] @ to_end - self.end[:, k]
             change = np.where(rows, change, 0.0)
             densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
             # The state is nearly constant on a segment with a touch point too; there the correction would reverse the

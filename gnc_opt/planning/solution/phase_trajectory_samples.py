@@ -135,9 +135,8 @@ class PhaseSamples:
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_inside_segments, "right")
-        values[:, self.is_sample_at_segment_end] = signal(
-            self.times_inside_segments[self.is_sample_at_segment_end], "left"
-        )
+        ends = self.is_sample_at_segment_end
+        values[:, ends] = signal(self.times_inside_segments[ends], "left")
         return values
 
     @cached_property

@@ -77,12 +77,9 @@ class PiecewisePolynomial:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_float_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        groups = zip(
-            _group_segments_by_equal_nodes(self._breaks_and_nodes[1]),
-            self._segment_values_by_node_group,
-            strict=True,
-        )
-        for (nodes, weights, places), values in groups:
+        groups = _group_segments_by_equal_nodes(self._breaks_and_nodes[1])
+        groups_with_values = zip(groups, self._segment_values_by_node_group, strict=True)
+        for (nodes, weights, places), values in groups_with_values:
             basis = interpolate_barycentric(nodes, weights, at)
             result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
         return result

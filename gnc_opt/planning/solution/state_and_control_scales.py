@@ -120,9 +120,8 @@ def compute_control_scales(
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = take_largest_variable_component(
-        np.where(spans > NEGLIGIBLE * alike, spans, alike), phase.controls
-    )
+    spans = np.where(spans > NEGLIGIBLE * alike, spans, alike)
+    spans = take_largest_variable_component(spans, phase.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)

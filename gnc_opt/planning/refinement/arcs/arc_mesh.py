@@ -212,9 +212,8 @@ class ArcMesh:
         kinds = structure.arc_kind_matrix()
         kinds = select_arc_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
         # Released rows: interior regular controls are unbounded, as their excess shows where the arc has to end.
-        released = (
-            structure.mask_constraints_near_contacts(self.loose) | structure.mask_rows_near_limit_changes()
-        )
+        released = structure.mask_constraints_near_contacts(self.loose)
+        released |= structure.mask_rows_near_limit_changes()
         released |= np.asarray(structure.regular, dtype=bool)[:, None]
         kinds = select_arc_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
         n_controls = structure.n_controls

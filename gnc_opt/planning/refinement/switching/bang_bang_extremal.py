@@ -319,9 +319,8 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     upper = kinds == ArcKind.UPPER
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
-    parts = max(
-        1, round(np.max(np.diff(times)) / np.max(np.diff(flight.integration_grid_times)))
-    )  # as fine as known
+    longest, known_step = (np.max(np.diff(grid)) for grid in (times, flight.integration_grid_times))
+    parts = max(1, round(longest / known_step))
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     conditions = _EndConditions(problem, s, flow)
     hamiltonian_gap = conditions.compute_lagrangian_derivatives(flight.step.multipliers)[0]

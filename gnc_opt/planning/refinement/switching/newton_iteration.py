@@ -84,10 +84,8 @@ def find_optimal_switching_times(
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
-    switches, steps = (
-        _list_control_switches(s, structure),
-        FLOW_INITIAL_STEPS if known is None else known.steps,
-    )
+    switches = _list_control_switches(s, structure)
+    steps = FLOW_INITIAL_STEPS if known is None else known.steps
     flight = (
         None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
     )
