@@ -23,7 +23,6 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification.costate_conditions import impose_constraints_active_at_ends
 from gnc_opt.planning.verification.feasibility import check_value_within_tolerance
-from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.nonsmooth_points import (
     check_concave_kinks,
     find_concave_kink,
@@ -165,7 +164,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         second = [_create_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
         second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
-        second = _check_second_order_and_switching_times(solution, samples, ends, scales, tol, first[2].loss)
+        second = _check_second_order_and_switching_times(solution, samples, ends, scales, tol)
     else:
         second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
@@ -228,18 +227,12 @@ def _check_second_order_and_switching_times(
     ends: EndGradients,
     scales: Scales,
     tol: float,
-    loss: float | None,
 ) -> list[Condition]:
-    """Return second order and switching times; ``loss`` is that of the minimum principle."""
     lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     switches = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
     switches.append(check_switching_times(solution, samples, ends, scales))
     parts = check_second_order_conditions(solution, samples, ends, tol)
-    if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
-        parts = [
-            _mark_negative_curvature_inconclusive(c) if c.name == "Legendre-Clebsch" else c for c in parts
-        ]
     return [
         _describe_undetermined_arcs(_combine_optimality_conditions("second order", parts), parts),
         _combine_optimality_conditions("switching times", switches),
@@ -252,15 +245,6 @@ def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) ->
     if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
         return condition
     return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
-
-
-def _mark_negative_curvature_inconclusive(condition: Condition) -> Condition:
-    """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
-    if condition.result is not ConditionResult.FAIL:
-        return condition
-    return _replace_condition_result(
-        condition, _INCONCLUSIVE, "no control lowers H by more than the error of the multipliers"
-    )
 
 
 def check_second_order_conditions(

@@ -418,7 +418,6 @@ def test_combined_conditions_take_the_decisive_part() -> None:
 
 def test_results_that_other_theorems_change() -> None:
     for change, extra, expected in (
-        (optimality_check._mark_negative_curvature_inconclusive, False, INCONCLUSIVE),
         (optimality_check._pass_condition_by_convexity, True, INCONCLUSIVE),
         (optimality_check._pass_condition_by_lower_bound, True, INCONCLUSIVE),
         (optimality_check._pass_condition_by_lower_bound, False, PASS),
