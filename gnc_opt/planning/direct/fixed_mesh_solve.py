@@ -141,7 +141,7 @@ class _FixedMeshSolve:
         deadline = min(self.budget.deadline, attempt.solver.compute_deadline() - earlier_s)
         tries = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
         tries.run_solve_attempts(point, search=guess is None and not has_trajectory_guess(self.problem))
-        result = tries.select_solver_result()
+        result = tries.select_conclusive_solver_result()
         if tries.is_iteration_or_cpu_limit_hit and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
@@ -192,7 +192,7 @@ class _SolveAttempts:
         if lost and not self._is_solve_finished:
             self._solve_nonlinear_program(point)
 
-    def select_solver_result(self) -> NlpResult:
+    def select_conclusive_solver_result(self) -> NlpResult:
         """Return the solution; without one the first conclusive failure, or else the first failure."""
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:

@@ -68,7 +68,7 @@ class PointFamily(ABC):
         return [Decimal(2) / (2 * k + 1) for k in range(n)]
 
     @abstractmethod
-    def get_state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_polynomial_nodes(self, points: Numbers) -> Numbers:
         """Return the nodes of the state polynomial in ascending order (n + 1,)."""
 
     # --- rows of a segment ------------------------------------------------------------------------
@@ -107,7 +107,7 @@ class Gauss(PointFamily):
     def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         return {n: 1}
 
-    def get_state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_polynomial_nodes(self, points: Numbers) -> Numbers:
         return np.array([Decimal(-1), *points])
 
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
@@ -140,7 +140,7 @@ class Radau(PointFamily):
     def build_polynomial_with_node_roots(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
 
-    def get_state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_polynomial_nodes(self, points: Numbers) -> Numbers:
         return np.array([*points, Decimal(1)])
 
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
@@ -166,7 +166,7 @@ class Lobatto(PointFamily):
     def sum_legendre_squares(self, n: int) -> list[Decimal]:
         return [*super().sum_legendre_squares(n)[:-1], Decimal(2) / (n - 1)]
 
-    def get_state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_polynomial_nodes(self, points: Numbers) -> Numbers:
         """Return the points and the midpoint of the widest gap (of two equal gaps the positive one)."""
         gaps = zip(points[1:] - points[:-1], (points[1:] + points[:-1]) / 2, strict=True)
         _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)

@@ -121,7 +121,7 @@ def _check_quadrature_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_quadrature_rule(scheme, n)
     with _set_decimal_context_precision():
-        nodes = get_point_family(scheme).get_state_nodes(x)
+        nodes = get_point_family(scheme).get_state_polynomial_nodes(x)
         w = _invert_products_of_node_differences(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _build_square_differentiation_matrix(nodes, w)[collocated]

@@ -158,7 +158,7 @@ class CriticalCone:
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
 
-    def contains_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
+    def is_direction_in_cone(self, direction: Array, samples: list[PhaseSamples]) -> bool:
         """Return whether a direction satisfies weakly active limits at the nodes and active ones between them."""
         point = self.point
         changes = np.concatenate([direction, point.constraint_jacobian @ direction])[self.weak]

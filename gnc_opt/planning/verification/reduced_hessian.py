@@ -174,7 +174,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
-        admitted = (cone.contains_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
+        admitted = (cone.is_direction_in_cone(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
             place = _describe_largest_variation_component(cone.point, solution, found.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)

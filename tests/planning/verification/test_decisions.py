@@ -171,7 +171,7 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
     ) -> tuple[Any, ...]:
         weak = np.array([False, bound is not None])
         cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
-        cone.contains_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
+        cone.is_direction_in_cone = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
         cone.is_curvature_multiplier_dependent = lambda direction: given.get("several", False)
         monkeypatch.setattr(reduced_hessian, "find_cost_reducing_final_pulse", lambda cone, s: end)
         monkeypatch.setattr(

@@ -301,15 +301,15 @@ def test_what_is_held_and_what_may_leave_to_one_side() -> None:
     np.testing.assert_array_equal(cone.strong, [False, True, True, False, True, True])
     np.testing.assert_array_equal(cone.weak, [False, False, False, True, False, False])
     inwards, outwards = np.eye(5)[3], -np.eye(5)[3]
-    assert cone.contains_direction(inwards, []) and not cone.contains_direction(outwards, [])
-    assert cone.contains_direction(0.009 * outwards, []) and cone.contains_direction(np.eye(5)[0], [])
+    assert cone.is_direction_in_cone(inwards, []) and not cone.is_direction_in_cone(outwards, [])
+    assert cone.is_direction_in_cone(0.009 * outwards, []) and cone.is_direction_in_cone(np.eye(5)[0], [])
     point.variables = replace(
         point.variables, box=Interval(np.array(lower), np.array([9.0, 9.0, 1.0, 1e-6, 2.0]))
     )
     point.x = np.array([1.0, 0.0, 1.0, 9e-7, 2.0])
     nearer = CriticalCone.from_program_point(point)  # to the upper limit
-    assert nearer.weak[3] and nearer.contains_direction(outwards, [])
-    assert not nearer.contains_direction(inwards, [])
+    assert nearer.weak[3] and nearer.is_direction_in_cone(outwards, [])
+    assert not nearer.is_direction_in_cone(inwards, [])
 
 
 @pytest.mark.parametrize(("first", "fixed"), [(0, False), (1, True), (2, False), (4, False)])

@@ -44,8 +44,8 @@ def _add_sine_to_state_guess(phase: Phase) -> dict[str, Any]:
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
 
-    def build_interpolant(rows: Array) -> Callable[[Array], Array]:
+    def build_linear_interpolant(rows: Array) -> Callable[[Array], Array]:
         return lambda t: np.array([np.interp(t, times, row) for row in rows])
 
     left = [name for name in layout.names if name not in phase.numbers.guess.values]
-    return {name: build_interpolant(states[layout.slice(name)]) for name in left}
+    return {name: build_linear_interpolant(states[layout.slice(name)]) for name in left}

@@ -168,7 +168,7 @@ class ArcMesh:
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
 
-    def extend_control_structure(self, structure: PhaseStructure) -> ArcMesh:
+    def extend_mesh_by_one_arc(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc, which hardly changes other subarcs."""
         plan, kept = self.replace_control_structure(structure), list[SubarcMesh]()
         for own, left, right, new in zip(
