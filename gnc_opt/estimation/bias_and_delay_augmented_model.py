@@ -19,8 +19,8 @@ from gnc_opt.control.sampled_data_discretization import count_steps_in_duration
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name_error
 from gnc_opt.estimation.error_state_coordinates import (
     Space,
-    build_euclidean_error_space,
-    build_product_error_space,
+    build_euclidean_error_coordinates,
+    build_stacked_error_coordinates,
 )
 from gnc_opt.estimation.measurement_model import Measurement
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
@@ -65,14 +65,14 @@ class AugmentedModel:
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
         self.channels = tuple(_build_measurement_channel(model, m, dt) for m in measurements)
-        parts = [(v, _build_state_error_space(model, v)) for v in model.states.variables]
+        parts = [(v, _build_state_error_coordinates(model, v)) for v in model.states.variables]
         for channel in self.channels:
             unit, name = channel.variable.unit, channel.name
             if channel.measurement.has_bias:
                 parts.append(
                     (
                         Variable(channel.bias_state_name, channel.space.errors, unit),
-                        build_euclidean_error_space(channel.space.errors),
+                        build_euclidean_error_coordinates(channel.space.errors),
                     )
                 )
             for k in range(1, channel.delay + 1):
@@ -87,8 +87,10 @@ class AugmentedModel:
         owner = f"the estimator of '{model.name}'"
         self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
         self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
-        self.space = build_product_error_space([space for _, space in parts])
-        self.vehicle = build_product_error_space([space for _, space in parts[: len(model.states.variables)]])
+        self.space = build_stacked_error_coordinates([space for _, space in parts])
+        self.vehicle = build_stacked_error_coordinates(
+            [space for _, space in parts[: len(model.states.variables)]]
+        )
         t, own, u, p = model.symbolic_arguments()
         slope = ca.substitute(ca.jacobian(model.state_derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
@@ -202,7 +204,7 @@ class AugmentedModel:
         return found
 
 
-def _build_state_error_space(model: Model, variable: Variable) -> Space:
+def _build_state_error_coordinates(model: Model, variable: Variable) -> Space:
     """Return the space of a state, with the model's own difference and retraction."""
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
@@ -228,7 +230,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
     name = measurement.of
     if name in model.states:
         variable = model.states[name]
-        space = _build_state_error_space(model, variable)
+        space = _build_state_error_coordinates(model, variable)
     elif name in model.outputs:
         variable = model.outputs[name]
         if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
@@ -236,7 +238,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
                 f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
                 "name one of states alone."
             )
-        space = build_euclidean_error_space(variable.size)
+        space = build_euclidean_error_coordinates(variable.size)
     else:
         raise unknown_name_error(
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]

@@ -49,11 +49,11 @@ class Space:
         return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
 
 
-def build_euclidean_error_space(size: int) -> Space:
+def build_euclidean_error_coordinates(size: int) -> Space:
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
-def build_product_error_space(spaces: Sequence[Space]) -> Space:
+def build_stacked_error_coordinates(spaces: Sequence[Space]) -> Space:
     sizes = [0, *_compute_cumulative_sums(s.size for s in spaces)]
     errors = [0, *_compute_cumulative_sums(s.errors for s in spaces)]
 

@@ -180,7 +180,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     sent = _find_variable_row_indices(
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
-    _require_distinct_memory_names(controller, estimator)
+    _require_distinct_memory_variables(controller, estimator)
     step, start = _combine_controller_with_estimator(controller, controller.step, estimator, fed, sent)
     easy = (
         controller.easy
@@ -247,7 +247,7 @@ def _find_variable_row_indices(wanted: Layout, there: Layout, kind: str, whose: 
     return rows
 
 
-def _require_distinct_memory_names(controller: Controller, estimator: Estimator) -> None:
+def _require_distinct_memory_variables(controller: Controller, estimator: Estimator) -> None:
     for name in estimator.memory.names:
         if name in controller.memory:
             raise ArgumentError(

@@ -20,7 +20,7 @@ from gnc_opt.numerical_tolerances import PLAUSIBLE, STEP_SLACK
 from gnc_opt.simulation.actuators.memoryless_nonlinearities import Saturation
 from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_closed_loop
 from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_closed_loop_kernel
+from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_closed_loop_step_functions
 from gnc_opt.simulation.control_step_expressions import (
     list_controller_alarm_labels,
     list_nonfinite_quantity_labels,
@@ -304,7 +304,7 @@ class ClosedLoop:
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
         if substeps not in self._kernels:
-            self._kernels[substeps] = build_closed_loop_kernel(self.wiring, substeps)
+            self._kernels[substeps] = build_closed_loop_step_functions(self.wiring, substeps)
         return self._kernels[substeps]
 
     def _compile_closed_loop(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:

@@ -220,8 +220,8 @@ def connect_closed_loop(
     }
     disturbances = [connect_block_chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
-        Events.from_event_declarations(plant, blocks.events),
-        Quantities.from_quantity_declarations(plant, blocks.quantities),
+        Events.read_event_declarations(plant, blocks.events),
+        Quantities.read_quantity_declarations(plant, blocks.quantities),
     )
     wiring = LoopWiring(
         plant,

@@ -185,13 +185,13 @@ class LoopKernel:
         return {}
 
 
-def build_closed_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
+def build_closed_loop_step_functions(wiring: LoopWiring, substeps: int) -> LoopKernel:
     """Return the kernel with ``substeps`` integration steps per minor step."""
-    return _KernelBuilder(wiring, substeps).assemble_closed_loop_kernel()
+    return _KernelBuilder(wiring, substeps).assemble_closed_loop_step_functions()
 
 
 class _KernelBuilder(ControlStep):
-    def assemble_closed_loop_kernel(self) -> LoopKernel:
+    def assemble_closed_loop_step_functions(self) -> LoopKernel:
         constants, act = self._build_actuator_and_plant_step_functions()
         step, easy = (
             self._build_closed_loop_step_function(constants, act),

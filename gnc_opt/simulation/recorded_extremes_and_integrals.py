@@ -70,7 +70,7 @@ class Quantities:
         return self.layout.size
 
     @classmethod
-    def from_quantity_declarations(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
+    def read_quantity_declarations(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
         """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
         require_distinct_names([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [

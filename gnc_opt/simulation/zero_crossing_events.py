@@ -180,7 +180,7 @@ class Events:
         return Layout("event", tuple(Variable(e.name) for e in self.declared), "the closed loop")
 
     @classmethod
-    def from_event_declarations(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
+    def read_event_declarations(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
         """Return the events of a plant; raise `ArgumentError` or `ModelError` for invalid ones."""
         require_distinct_names([event.name for event in declared], "events of the closed loop")
         if not declared:

@@ -27,7 +27,7 @@ from gnc_opt.control.sampled_data_discretization import (
 )
 from gnc_opt.control.super_twisting_observer import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.estimation.error_state_coordinates import build_euclidean_error_space
+from gnc_opt.estimation.error_state_coordinates import build_euclidean_error_coordinates
 from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
     SigmaRegression,
     factorise_semidefinite,

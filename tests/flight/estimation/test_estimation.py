@@ -8,7 +8,7 @@ import pytest
 import scipy
 from testing.internals import (
     SigmaRegression,
-    build_euclidean_error_space,
+    build_euclidean_error_coordinates,
     factorise_semidefinite,
     solve_triangular_left,
     solve_triangular_right,
@@ -269,9 +269,8 @@ def test_what_directions_leave_is_added_up():
     """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2."""
     for n in (1, 2, 5):
         x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
-        mean, _, left = SigmaRegression().fit_linear_model(
-            lambda s: s[0] ** 2, build_euclidean_error_space(n), build_euclidean_error_space(1), x, P
-        )
+        source, target = build_euclidean_error_coordinates(n), build_euclidean_error_coordinates(1)
+        mean, _, left = SigmaRegression().fit_linear_model(lambda s: s[0] ** 2, source, target, x, P)
         found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))
         assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 2 * 0.3**2], rel=1e-13)
 
