@@ -954,16 +954,16 @@ def test_a_parameter_without_curvature_is_measured_by_itself_or_its_bounds() -> 
     np.testing.assert_array_equal(curved, [0.5, 4.0, 1.0])
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e3])
-def test_shares_of_a_miss_and_of_a_gain_by_closed_forms(unit: float) -> None:
+@pytest.mark.parametrize(("unit", "tripled"), [(1.0, False), (1e3, False), (1.0, True)])
+def test_shares_of_a_miss_and_of_a_gain_by_closed_forms(unit: float, tripled: bool) -> None:
     """x' = k / unit ends at 1.2 in place of 1, which k moves by 1.2. The control 0 maximises H = -u^2, |u| <= 1."""
     model = go.Model("constant rate")
     x, k, t = model.state("x"), model.parameter("k", 1.0), np.linspace(0.0, 2.0, 9)
     model.ode({x: k / unit})
     problem, leg = one_phase("constant rate", model, 0.0, 2.0)
-    problem.minimize((problem.parameter("k", lower=0.0, upper=3 * unit) / unit) ** 2)
+    problem.minimize((problem.parameter("k", lower=0.0, upper=3 * unit) / unit - 0.6) ** 2)
     leg.initial(x=0.0)
-    leg.final(x=1.0)
+    problem.constrain("end", 3 * leg.final_state("x"), equals=3.0) if tripled else leg.final(x=1.0)
     missed = go.verify_trajectory(problem, t, 0.6 * t, np.zeros((0, 9)), {"k": 0.6 * unit})
     assert missed["boundary conditions"].value == pytest.approx(0.2 / 1.2)
     model, x, u = dynamics("concave", "x", "u", lambda x, u: {x: u})
