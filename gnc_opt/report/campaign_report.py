@@ -378,7 +378,7 @@ def _build_parameter_dispersion_tables(campaign: Campaign) -> str:
             numbers = (f"{value:.4g}" for value in (drawn.mean(), drawn.std(), drawn.min(), drawn.max()))
             known = "" if np.isnan(usual) else f"{usual:.6g}"
             rows.append((label, known, v.unit, *numbers, laws.get(v.name, "")))
-    titles = ("parameter", "nominal", "unit", "drawn mean", "std", "min", "max", "distribution")
+    titles = ("parameter", "nominal", "unit", "drawn mean", "std. dev.", "min", "max", "distribution")
     return format_html_table(titles, rows) + format_html_table(("constant", "value", "unit"), fixed)
 
 
