@@ -81,10 +81,8 @@ def alone() -> Multistart:
 
 def told(found: Multistart) -> list[Any]:
     """Everything that must not depend on the executor."""
-    minima = [
-        (m.objective, m.starts, m.trajectories, m.coarse_objectives, m.verdict_ok) for m in found.minima
-    ]
-    return [minima, found.failures, found.finished]
+    names = ("objective", "starts", "trajectories", "coarse_objectives", "verdict_ok")
+    return [[getattr(m, n) for n in names for m in found.minima], found.failures, found.finished]
 
 
 @pytest.mark.slow
@@ -95,8 +93,7 @@ def test_both_wells_are_found_and_ranked() -> None:
     assert sum(m.hits for m in found.minima) == 8 and not found.failures
     assert all(m.verdict_ok and m.refined and m.hits == len(m.starts) > 0 for m in found.minima)
     assert sorted(start for m in found.minima for start in m.starts) == list(range(8))
-    assert found.best is found.minima[0]
-    assert found.best.solution.state("x")(1.0) < 0
+    assert found.best is found.minima[0] and found.best.solution.state("x")(1.0) < 0
     assert "2 minima from 8 of 8 starts, seed 3" in str(found)
     assert repr(found).startswith("Multistart(") and "2 minima, 8 of 8 starts, best=" in repr(found)
 
@@ -264,11 +261,9 @@ def test_ctrl_c_keeps_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: A
 
     monkeypatch.setattr(sys.modules[multistart.__module__], "_display_search_progress", impatient_meter)
     found = search(wells(), n=400, executor=executor)
-    assert found.interrupted
-    assert 5 <= found.finished < 400
+    assert found.interrupted and 5 <= found.finished < 400
     assert sum(m.hits for m in found.minima) == found.finished
-    assert not any(m.refined for m in found.minima)
-    assert "interrupted" in str(found)
+    assert not any(m.refined for m in found.minima) and "interrupted" in str(found)
 
 
 def test_an_interrupted_solve_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,9 +284,7 @@ def test_ctrl_c_stops_running_workers(
 
     monkeypatch.setattr(sys.modules[multistart.__module__], "solve_problem_on_mesh", endless)
     crew = min(2, os.cpu_count() or 1)
-    ctrl_c_when(
-        lambda: len(list(tmp_path.iterdir())) == crew
-    )  # CPython loses a Ctrl-C that comes while it forks
+    ctrl_c_when(lambda: len(list(tmp_path.iterdir())) == crew)  # CPython loses one that comes while it forks
     found = search(wells(), n=5, executor=None)
     assert found.interrupted and found.finished == 0 and not found.minima
     assert not multiprocessing.active_children()
@@ -319,6 +312,20 @@ def test_a_time_limit_does_not_end_the_search() -> None:
     assert (dict(found.failures), found.interrupted) == ({"interrupted": 3}, False)
     with pytest.raises(go.GncOptError, match="none of 3 starts of 'two wells' found a minimum"):
         _ = found.best
+
+
+def test_refinements_share_the_work_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of it is for two minima; the other half for the best, which does not pass the check."""
+    module, shares = sys.modules[multistart.__module__], []
+
+    def recorded(coarse: go.Solution, *, limits: Any, **_: Any) -> go.Solution:
+        shares.append(limits.max_work)
+        return coarse
+
+    monkeypatch.setattr(module, "refine_solution", recorded)
+    monkeypatch.setattr(module, "verify", lambda _: SimpleNamespace(ok=False))
+    search(wells(), n=8, max_refined=2, limits=go.RefinementLimits(max_work=8.0))
+    assert shares == [2.0, 2.0, 4.0]
 
 
 def _interrupting_solve(at: int) -> Any:

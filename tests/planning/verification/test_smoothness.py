@@ -269,17 +269,12 @@ def test_kinks_that_meet(kinks: Any, result: str, place: str) -> None:
     a, b = (problem.parameter(name, lower=-1.0, upper=1.0, guess=0.0) for name in ("a", "b"))
     at = {"end": (leg.final_state("x"), leg.final_state("y")), "parameters": (a, b), "integrand": (x, y)}
     told = kinks(*at[place])
-    problem.minimize(
-        leg.integral(u**2 + w**2 + (told if place == "integrand" else 0.0))
-        + a**2
-        + b**2
-        + (0.0 if place == "integrand" else told)
-    )
+    cost = leg.integral(u**2 + w**2) + a**2 + b**2
+    problem.minimize(cost + (leg.integral(told) if place == "integrand" else told))
     t = np.linspace(0.0, 1.0, 11)
     none = {"a": 0.0, "b": 0.0}
     verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t, "w": 0 * t}, none)
-    expected = result
-    assert verdict["kinks"].result is go.ConditionResult[expected]
+    assert verdict["kinks"].result is go.ConditionResult[result]
     assert verdict.ok == (result != "FAIL")
 
 
