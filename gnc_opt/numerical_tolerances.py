@@ -67,13 +67,13 @@ PLAUSIBLE = 1e15
 """Magnitude of a state above which a run has diverged, in any unit; in metres 100 times the distance of Neptune."""
 
 
-def replace_tiny_divisors_by_one(values: ArrayLike) -> Array:
+def replace_tiny_by_one(values: ArrayLike) -> Array:
     """Return magnitudes for divisions: the given ones, or 1 for those below `MAGNITUDE_FLOOR`."""
     sizes = np.asarray(values, dtype=float)
     return np.where(sizes > MAGNITUDE_FLOOR, sizes, 1.0)
 
 
-def replace_zero_divisors_by_one(magnitudes: Array) -> Array:
+def replace_zeros_by_one(magnitudes: Array) -> Array:
     """Return magnitudes as divisors: 1 for those that are not positive."""
     return np.where(magnitudes > 0, magnitudes, 1.0)
 

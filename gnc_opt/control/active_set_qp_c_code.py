@@ -81,7 +81,7 @@ class QpCode:
             "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),
             "N_S": self.roots.size, "RATES": int(rows.change is not None), "N_TABLES": len(self.matrices[0]),
             "MOST": self._max_qp_iterations, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
-            "DEPENDENT": numbers(numbers.dependent),
+            "DEPENDENT": numbers(numbers.dependent)
         }  # fmt: skip
         scale = 1 / rows.state_scale
         change = np.ones(m) if rows.change is None else rows.change
@@ -90,7 +90,7 @@ class QpCode:
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
             "state_lower": set_nonfinite_to_zero(rows.state_lower),
             "state_upper": set_nonfinite_to_zero(rows.state_upper),
-            "row_lower": self._qp_constraint_limits[0], "row_upper": self._qp_constraint_limits[1],
+            "row_lower": self._qp_constraint_limits[0], "row_upper": self._qp_constraint_limits[1]
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]

@@ -15,7 +15,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model_variables import Layout, format_names_with_units, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.numerical_tolerances import ROUNDING, max_norm, replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import ROUNDING, max_norm, replace_zeros_by_one
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """Matrix (n, n), diagonal (n,), one number for all, or diagonal entries by name (missing names weigh 0)."""
@@ -151,7 +151,7 @@ def _find_smallest_relative_eigenvalue(
         raise DesignError(
             f"{what} of '{labels[bad[0]]}' is {diagonal[bad[0]]:g}: give a number {'>' if strict else '>='} 0."
         )
-    scale = np.sqrt(replace_zero_divisors_by_one(diagonal))
+    scale = np.sqrt(replace_zeros_by_one(diagonal))
     # a zero on the diagonal requires a zero row; such a row is scaled by its largest entry
     empty = diagonal == 0
     if np.any(empty):

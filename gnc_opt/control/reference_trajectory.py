@@ -15,7 +15,7 @@ from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name, war
 from gnc_opt.model.model_variables import Layout, read_state_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
-from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, max_norm, replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, max_norm, replace_zeros_by_one
 
 Signal: TypeAlias = Callable[[Array], Array]
 """Function from times (n,) to values (size, n)."""
@@ -49,7 +49,7 @@ def _format_trim_residual(model: Model, times: Array, left: Array, x: Array, u: 
         a, b = model.linearize(float(t), x[:, j], u[:, j])
         terms[:, j] += np.abs(a) @ np.abs(x[:, j]) + np.abs(b) @ np.abs(u[:, j])
     scale = np.max(terms, axis=1, keepdims=True)
-    share = np.nan_to_num(left / replace_zero_divisors_by_one(scale))
+    share = np.nan_to_num(left / replace_zeros_by_one(scale))
     i, k = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[i, k] > _DYNAMICS_CHECK_TOLERANCE:
         return ""

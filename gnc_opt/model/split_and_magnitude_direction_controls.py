@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.model_variables import Variable
-from gnc_opt.numerical_tolerances import replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import replace_zeros_by_one
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class UnitVectorControl(ComposedControl):
     def compose_control_from_parts(self, *parts: Any) -> Any:
         """Return the vector divided by its length."""
         norm = np.linalg.norm(parts[0], axis=0)
-        return parts[0] / replace_zero_divisors_by_one(norm)
+        return parts[0] / replace_zeros_by_one(norm)
 
     def decompose_control_into_parts(self, u: Array) -> tuple[Array, ...]:
         """Return the vector unchanged."""

@@ -24,7 +24,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.numerical_tolerances import max_norm, replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import max_norm, replace_zeros_by_one
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.simulation_run_outcome import RunStatus
 
@@ -54,7 +54,7 @@ def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: 
     for wanted, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
         h, count = length / n, duration * n / length
         fade = -np.expm1(np.minimum(modes.real, 0.0) * h)
-        lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / replace_zero_divisors_by_one(fade), count)
+        lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / replace_zeros_by_one(fade), count)
         growth = np.exp(modes * h)
         error = np.abs(np.polyval(_STABILITY, modes * h) - growth) / np.maximum(1.0, np.abs(growth))
         if np.max(error * lasting, initial=0.0) <= wanted:

@@ -36,7 +36,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, evaluate_casadi_function
-from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, SMALL, replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, SMALL, replace_zeros_by_one
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, stack_intervals
@@ -174,7 +174,7 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
         bound = np.any(size > 0, axis=(1, 2)) & np.all(np.isfinite(taken), axis=(1, 2))
         if not np.any(bound):
             continue
-        _, sizes, across = np.linalg.svd(taken[bound] / replace_zero_divisors_by_one(size[bound]))
+        _, sizes, across = np.linalg.svd(taken[bound] / replace_zeros_by_one(size[bound]))
         ranks = np.sum(sizes > RANK * sizes[:, :1], axis=1)
         for j, rank, directions in zip(here[bound], ranks, across, strict=True):
             bases[j] = axes[:, pattern] @ directions[rank:].T

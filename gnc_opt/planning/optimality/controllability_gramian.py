@@ -19,8 +19,8 @@ from gnc_opt.numerical_tolerances import (
     NEGLIGIBLE,
     RANK,
     ROUNDING,
-    replace_tiny_divisors_by_one,
-    replace_zero_divisors_by_one,
+    replace_tiny_by_one,
+    replace_zeros_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
@@ -81,7 +81,7 @@ class Ellipsoid:
     @property
     def nonzero_semi_axes(self) -> Array:
         """Principal semi-axes with 1 for states without displacement, for derivatives."""
-        radius = replace_zero_divisors_by_one(self.radius)
+        radius = replace_zeros_by_one(self.radius)
         return np.asarray(radius[:, None] * self.axes * self.shares)
 
 
@@ -208,7 +208,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
     matrices = gramian.mean, gramian.end, gramian.start
     along, end, start = (np.sqrt(np.maximum(np.diag(w), 0.0)) for w in matrices)
     if not s.has_duration:  # without motion, magnitudes are used
-        along = end = replace_tiny_divisors_by_one(size)
+        along = end = replace_tiny_by_one(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = initial = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
@@ -235,7 +235,7 @@ def _build_initial_gramian(
     size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, s.leg.state_bounds.interval_width_or_zero)
-    own = left * replace_zero_divisors_by_one(size)
+    own = left * replace_zeros_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():
         covariance = covariance + response @ found[name].end @ response.T
@@ -251,7 +251,7 @@ def differentiate_linked_initial_states(
         phase = s.leg
         free = np.flatnonzero(~phase.initial_bounds.is_fixed)
         size = np.max(np.abs(set_nonfinite_to_zero(s.x)), axis=1)
-        unit = replace_zero_divisors_by_one(size)[free]
+        unit = replace_zeros_by_one(size)[free]
         own = jacobians[phase.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
         earlier = [other.leg.name for other in samples[:k]]

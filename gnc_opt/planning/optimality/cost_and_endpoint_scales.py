@@ -15,7 +15,7 @@ from gnc_opt.numerical_tolerances import (
     NOTABLE,
     TINY,
     max_norm,
-    replace_tiny_divisors_by_one,
+    replace_tiny_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -90,7 +90,7 @@ def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
     box = solution.need_problem("verify").get_parameter_bounds()
     extent = box.upper - box.lower
-    size = replace_tiny_divisors_by_one(np.abs(solution.parameter_values))
+    size = replace_tiny_by_one(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
 
 

@@ -17,15 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
-from gnc_opt.numerical_tolerances import (
-    ACTIVE,
-    MINOR,
-    NEGLIGIBLE,
-    RANK,
-    ROUNDING,
-    TINY,
-    replace_zero_divisors_by_one,
-)
+from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, RANK, ROUNDING, TINY, replace_zeros_by_one
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.problem.bounds import Interval
@@ -381,7 +373,7 @@ def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float]
 
 def _normalise_matrix_rows(rows: Any) -> tuple[Any, Array]:
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
-    norms = replace_zero_divisors_by_one(norms)
+    norms = replace_zeros_by_one(norms)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
 
 

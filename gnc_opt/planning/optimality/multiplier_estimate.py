@@ -20,14 +20,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
-from gnc_opt.numerical_tolerances import (
-    ACTIVE,
-    NEGLIGIBLE,
-    ROUNDING,
-    TINY,
-    max_norm,
-    replace_zero_divisors_by_one,
-)
+from gnc_opt.numerical_tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -153,7 +146,7 @@ def estimate_multipliers(
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
-    row_scales = 1 / replace_zero_divisors_by_one(steepest)
+    row_scales = 1 / replace_zeros_by_one(steepest)
     factor = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
     weights = scales / np.sqrt(compute_quadrature_weights(transcription)[0])
@@ -168,7 +161,7 @@ def estimate_multipliers(
         transcription, problem, fitted, q, scales, near
     )
     jumps = scipy.sparse.diags_array(weights) @ gradients
-    jumps = jumps @ scipy.sparse.diags_array(1 / replace_zero_divisors_by_one(sizes))
+    jumps = jumps @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
     pushing = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
@@ -242,7 +235,7 @@ class _CostateFit:
         unknowns = np.zeros(used.size)
         if part.size:
             sizes = np.linalg.norm(part, axis=0)
-            sizes = replace_zero_divisors_by_one(sizes)
+            sizes = replace_zeros_by_one(sizes)
             found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
             unknowns[used] = found / sizes
         return unknowns
@@ -372,7 +365,7 @@ def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPha
     x = phase.x(middles)
     jacobian = bind_free_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
     jacobian = np.moveaxis(np.nan_to_num(jacobian), 2, 0)
-    size = replace_zero_divisors_by_one(np.ptp(x, axis=1))
+    size = replace_zeros_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
     found, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
@@ -387,7 +380,7 @@ def _estimate_variable_scales(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Return the variations of the variables along the trajectory, independent of origin and guess."""
-    scales = replace_zero_divisors_by_one(np.abs(x))
+    scales = replace_zeros_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
         for places, box in (

@@ -43,7 +43,7 @@ from gnc_opt.numerical_tolerances import (
     SMALL,
     TINY,
     max_norm,
-    replace_zero_divisors_by_one,
+    replace_zeros_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.optimality.controllability_gramian import (
@@ -304,7 +304,7 @@ def _compute_parameter_variation_scales(
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
     size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().interval_width_or_zero
-    return np.asarray(np.where(size > 0, size, replace_zero_divisors_by_one(extent)))
+    return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
 
 
 def _compute_parameter_lagrangian_curvatures(
@@ -399,7 +399,7 @@ class EndPoints:
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
         _, second = self._compute_endpoint_finite_differences(self._list_end_displacements_along_axes(reach))
-        change = self._lagrangian_multipliers_and_cost_sign @ second if constrained else second[-1]
+        change = self._constraint_and_cost_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
     def compute_boundary_constraint_differences(
@@ -423,7 +423,7 @@ class EndPoints:
         return first, second, terms
 
     @property
-    def _lagrangian_multipliers_and_cost_sign(self) -> Array:
+    def _constraint_and_cost_weights(self) -> Array:
         """Multipliers of the constraints, and the sense of the cost."""
         sense = self.solution.need_problem("verify").sense
         return np.append(self.solution.constraint_multipliers, sense)
@@ -474,8 +474,8 @@ class EndPoints:
         return (
             np.stack(
                 [
-                    self._lagrangian_multipliers_and_cost_sign @ first,
-                    0.5 * (self._lagrangian_multipliers_and_cost_sign @ second),
+                    self._constraint_and_cost_weights @ first,
+                    0.5 * (self._constraint_and_cost_weights @ second),
                 ]
             )
             / step

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.numerical_tolerances import ROUNDING, SMALL, replace_zero_divisors_by_one, set_nonfinite_to_zero
+from gnc_opt.numerical_tolerances import ROUNDING, SMALL, replace_zeros_by_one, set_nonfinite_to_zero
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
@@ -94,7 +94,7 @@ def choose_magnitudes_from_bounds(interval: Interval, reach: Array) -> Array:
         np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
     )
     scales = np.where(bounded & (limits > 0), limits, reach)
-    return replace_zero_divisors_by_one(scales)
+    return replace_zeros_by_one(scales)
 
 
 def _overwrite_scales_by_user_input(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:

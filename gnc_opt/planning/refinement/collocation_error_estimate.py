@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, replace_tiny_divisors_by_one
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     compute_segment_defects,
@@ -62,13 +62,13 @@ class PhaseError:
         f, phase, s = samples.functions, samples.leg, samples
         at = s.times, s.x, s.u_polynomial
         integrands = evaluate_function_with_clipped_controls(f.integrands, *at, phase.control_bounds)
-        integral_scale = replace_tiny_divisors_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
+        integral_scale = replace_tiny_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
         gaps = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
         box = phase.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
         paths = evaluate_function_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
         largest = np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
-        path_scale = replace_tiny_divisors_by_one(largest)
+        path_scale = replace_tiny_by_one(largest)
         span = phase.duration
         overshoot = _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
         states = s.compute_segment_maxima(overshoot)

@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
-from gnc_opt.numerical_tolerances import ROUNDING, replace_tiny_divisors_by_one
+from gnc_opt.numerical_tolerances import ROUNDING, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -128,7 +128,7 @@ def _integrate_between_control_jumps(
 def compute_state_magnitudes(phase: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(phase.x(phase.sample_times())), axis=1)
-    return replace_tiny_divisors_by_one(take_largest_variable_component(largest, phase.states))
+    return replace_tiny_by_one(take_largest_variable_component(largest, phase.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
@@ -296,7 +296,7 @@ class Worst:
     value: float
     where: str
 
-    def select_larger_violation(self, other: Worst) -> Worst:
+    def select_larger(self, other: Worst) -> Worst:
         """Return the larger one; NaN counts as larger."""
         return self if np.isnan(self.value) or other.value <= self.value else other
 

@@ -16,7 +16,7 @@ from gnc_opt.numerical_tolerances import (
     NOTABLE,
     SHORTEST,
     TINY,
-    replace_tiny_divisors_by_one,
+    replace_tiny_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
@@ -306,7 +306,7 @@ class PhaseSamples:
     def control_scale(self) -> Array:
         """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
         span, reach = self.leg.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
-        return np.where(span > 0, span, replace_tiny_divisors_by_one(reach))
+        return np.where(span > 0, span, replace_tiny_by_one(reach))
 
     @cached_property
     def cost_scale(self) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_float_array, read_integer
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ArgumentError, quote_value
-from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_tiny_divisors_by_one
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
@@ -262,5 +262,5 @@ class SaturatedControl:
 def _compute_control_bound_widths(bounds: Interval) -> Array:
     """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
-    fixed = replace_tiny_divisors_by_one(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
+    fixed = replace_tiny_by_one(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
     return np.where(np.isfinite(span) & ~bounds.is_fixed, span, fixed)

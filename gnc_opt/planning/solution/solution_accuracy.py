@@ -222,7 +222,7 @@ def measure_solution_accuracy(
 ) -> Accuracy:
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
-        defect = defect.select_larger_violation(find_worst_defect(s))
+        defect = defect.select_larger(find_worst_defect(s))
         phase, pieces = s.leg, _sample_between_control_jumps(s)
         pairs = zip(phase.states.labels, phase.states.units, strict=True)
         labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]

@@ -23,7 +23,7 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
     ROUNDING,
-    replace_tiny_divisors_by_one,
+    replace_tiny_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.problem.bounds import Interval
@@ -86,7 +86,7 @@ def compute_state_scales(
     size = np.max(np.abs(values), axis=1)
     moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return replace_tiny_divisors_by_one(take_largest_variable_component(size, phase.states))
+        return replace_tiny_by_one(take_largest_variable_component(size, phase.states))
     movable = _estimate_controllable_state_changes(phase, functions, used)
     movable = take_largest_variable_component(movable, phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
@@ -127,7 +127,7 @@ def compute_control_scales(
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = take_largest_variable_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
     spans = np.where(spans > ROUNDING, spans, extent)
-    return _replace_zero_scales_by_fallbacks(spans, replace_tiny_divisors_by_one(size))
+    return _replace_zero_scales_by_fallbacks(spans, replace_tiny_by_one(size))
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:

@@ -39,7 +39,7 @@ from gnc_opt.numerical_tolerances import (
     SMALL,
     TINY,
     max_norm,
-    replace_zero_divisors_by_one,
+    replace_zeros_by_one,
     set_nonfinite_to_zero,
 )
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -396,7 +396,7 @@ def _equilibrate_rows(matrix: Any) -> Array:
     for _ in range(4):
         norms = np.zeros(scale.size)
         np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
-        scale = scale / np.sqrt(replace_zero_divisors_by_one(norms))
+        scale = scale / np.sqrt(replace_zeros_by_one(norms))
     return scale
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import replace_zero_divisors_by_one, set_nonfinite_to_zero
+from gnc_opt.numerical_tolerances import replace_zeros_by_one, set_nonfinite_to_zero
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import (
@@ -65,7 +65,7 @@ def choose_row_scales(
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
-    factors = 1.0 / np.maximum(replace_zero_divisors_by_one(norms), room / MOST_ROOM)
+    factors = 1.0 / np.maximum(replace_zeros_by_one(norms), room / MOST_ROOM)
     steepest = float(np.max(gradient * scales))
     for part in transcription.parts.values():
         state_scales = scales[part.collocation.boundary_states[:, 0]]

@@ -43,7 +43,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import (
     compute_path_constraint_changes,
-    locate_largest_value_over_time,
+    locate_maximum_over_time,
 )
 from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
 
@@ -111,7 +111,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         place = s.describe_segment(
             k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], along.radius)}"
         )
-        worst = worst.select_larger_violation(Worst(float(share[k]), place))
+        worst = worst.select_larger(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
             share = along.support_function(jumps) / cost
@@ -119,7 +119,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             k = int(np.argmax(share))
             label = _find_state_of_costliest_gradient(s, jumps[:, k], along.radius)
             place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
-            worst = worst.select_larger_violation(Worst(float(share[k]), place))
+            worst = worst.select_larger(Worst(float(share[k]), place))
     return worst
 
 
@@ -173,9 +173,9 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
                 violation = max(violation, scales.estimate_control_change_by_costate_gap(s, left))
             state = _find_state_of_costliest_gradient(s, left, ellipsoid.radius)
             place = f"phase {s.leg.name}, {end}, costate of {state}"
-            worst = worst.select_larger_violation(Worst(violation, place))
+            worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
-        worst = worst.select_larger_violation(_check_time_transversality(s, ends, drifts, scales))
+        worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
     return worst
 
 
@@ -205,7 +205,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     )
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
-    return worst.select_larger_violation(
+    return worst.select_larger(
         Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
     )
 
@@ -225,7 +225,7 @@ def check_complementarity(
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.select_larger_violation(_check_costate_jumps_at_state_bounds(s, scales))
+        worst = worst.select_larger(_check_costate_jumps_at_state_bounds(s, scales))
         phase, times = s.leg, s.leg.point_times
         x, u = phase.x(times), np.hstack(phase.u.values)
         paths = s.functions.path_constraints(times, x, u)
@@ -248,7 +248,7 @@ def check_complementarity(
                 / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_larger_violation(locate_largest_value_over_time(s, violation, times, places))
+            worst = worst.select_larger(locate_maximum_over_time(s, violation, times, places))
     return worst
 
 
@@ -277,7 +277,7 @@ def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Wor
     left, x = impulses - made_up_for, phase.x(breaks)
     products = _compute_complementarity_products(left, x, phase.state_bounds, radius)
     places = [f"impulse on {label}" for label in phase.states.labels]
-    return locate_largest_value_over_time(s, products / scales.cost, breaks, places)
+    return locate_maximum_over_time(s, products / scales.cost, breaks, places)
 
 
 def _compute_complementarity_products(

@@ -13,14 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import (
-    ROUNDING,
-    SHORTEST,
-    SMALL,
-    TINY,
-    max_norm,
-    replace_zero_divisors_by_one,
-)
+from gnc_opt.numerical_tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
@@ -66,9 +59,7 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
-def locate_largest_value_over_time(
-    s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]
-) -> Worst:
+def locate_maximum_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
     return Worst.find_largest_value(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
@@ -77,7 +68,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
     worst = NOTHING
     for s in samples:
-        worst = worst.select_larger_violation(_find_worst_defect(s, scales, tolerance))
+        worst = worst.select_larger(_find_worst_defect(s, scales, tolerance))
     return check_value_within_tolerance(
         "dynamics",
         worst,
@@ -130,9 +121,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
         k = int(np.argmax(price))
-        worst = worst.select_larger_violation(
-            Worst(float(price[k]), s.describe_segment(k, "effect on the cost"))
-        )
+        worst = worst.select_larger(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
     return worst
 
 
@@ -143,17 +132,15 @@ def check_trajectory_limits(
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").get_parameter_bounds()
     values = solution.parameter_values
-    worst = _find_largest_bound_violation(
-        values, box, scales.parameters, labels, solution.free_parameters.units
-    )
+    worst = _find_bound_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.select_larger_violation(_find_control_violation(s, scales)).select_larger_violation(
+        worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
             _find_state_violation(s, scales)
         )
         if s.leg.path_labels:
             for at in (s, s.resample_at_even_times(SCANNED_PATHS)):
-                worst = worst.select_larger_violation(_find_path_violation(s, at, scales))
-            worst = worst.select_larger_violation(_find_costliest_path_constraint_violation(s, scales))
+                worst = worst.select_larger(_find_path_violation(s, at, scales))
+            worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
     return check_value_within_tolerance(
         "limits",
         worst,
@@ -173,7 +160,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     )
     scale = _cap_scale_by_interval_width(scale, phase.control_bounds)
     violation = phase.control_bounds.compute_bound_violation(u) / np.where(scale > 0, scale, TINY)
-    return locate_largest_value_over_time(s, violation, phase.point_times, phase.controls.labels)
+    return locate_maximum_over_time(s, violation, phase.point_times, phase.controls.labels)
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -195,20 +182,18 @@ def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> W
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
-    shares = _compute_distances_to_limits(
-        s, scales, found.limits, found.excess, (found.times, found.x, found.u)
-    )
+    shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
     excess = limits.compute_limit_excess(at.times, at.x, at.u)
     rows, k = np.nonzero(excess > 0)
     here = at.times[k], at.x[:, k], at.u[:, k]
-    beside = _compute_distances_to_limits(s, scales, limits.select_limits(rows), excess[rows, k], here)
+    beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
     most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
     what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 
 
-def _compute_distances_to_limits(
+def _compute_limit_distances(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
@@ -250,7 +235,7 @@ def check_table_ranges(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = (
-            worst.select_larger_violation(Worst(beyond, str(out))),
+            worst.select_larger(Worst(beyond, str(out))),
             refused or out.table.outside == "error",
         )
     result = combine_condition_results(not worst.value, refused)
@@ -273,25 +258,23 @@ def check_boundary_conditions(
             ("end", phase.x(phase.breaks[-1], "left"), phase.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in phase.states.labels]
-            worst = worst.select_larger_violation(
+            worst = worst.select_larger(
                 _find_largest_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
             )
         times = np.array([phase.initial_time, phase.final_time, phase.duration])
         bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_larger_violation(
-            _find_largest_bound_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
+        worst = worst.select_larger(
+            _find_bound_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
         )
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(phase.initial_time), abs(phase.final_time))
         gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_larger_violation(
-            _find_largest_bound_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2)
-        )
-    worst = worst.select_larger_violation(_find_boundary_violation(solution, ends, scales))
+        worst = worst.select_larger(_find_bound_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.select_larger(_find_boundary_violation(solution, ends, scales))
     return check_value_within_tolerance(
         "boundary conditions",
         worst,
@@ -368,9 +351,7 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger_violation(
-                Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__)
-            )
+            worst = worst.select_larger(Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__))
     return check_value_within_tolerance(
         "cost",
         worst,
@@ -385,12 +366,12 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
-def _find_largest_bound_violation(
+def _find_bound_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = interval.compute_bound_violation(values)
     scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
-    violation = excess / replace_zero_divisors_by_one(scale)
+    violation = excess / replace_zeros_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):
         return NOTHING

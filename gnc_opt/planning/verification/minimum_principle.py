@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_larger_violation(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
+        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,9 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_larger_violation(
-            _locate_largest_hamiltonian_decrease(s, gain, "switching function of ")
-        )
+        worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, gain, "switching function of "))
     return worst
 
 
@@ -131,7 +129,7 @@ def check_minimum_principle(
     for s in samples:
         if s.leg.controls.size:
             gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
-            worst, searched, loss = worst.select_larger_violation(gain), searched or here, loss + lost
+            worst, searched, loss = worst.select_larger(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "

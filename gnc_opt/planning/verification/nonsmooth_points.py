@@ -14,14 +14,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
-from gnc_opt.numerical_tolerances import (
-    AT_LIMIT,
-    MINOR,
-    ROUNDING,
-    SAME_TIME,
-    SMALL,
-    replace_tiny_divisors_by_one,
-)
+from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, replace_tiny_by_one
 from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
@@ -221,7 +214,7 @@ def _find_jump_of_state_rates(
 
 def _find_longest_interval_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
-    sizes = replace_tiny_divisors_by_one(np.max(np.abs(values), axis=1))
+    sizes = replace_tiny_by_one(np.max(np.abs(values), axis=1))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
     long = lengths > MINOR

@@ -139,7 +139,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     samples = [s.with_cost_scale(amount, choose_cell_edges_at_narrow_features(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
-    kept = missing.select_larger_violation(compare_costates(samples) if with_costates else NOTHING)
+    kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
     limits = [feasibility.check_trajectory_limits(solution, samples, scales, tol)]
     along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
@@ -199,11 +199,11 @@ def _check_first_order_conditions(
     lasting = [s for s in samples if s.has_duration]
     gradient = (
         costates.check_adjoint_equation(lasting, scales, tol)
-        .select_larger_violation(costates.check_transversality(lasting, ends, scales))
-        .select_larger_violation(controls.check_control_stationarity(lasting, scales, tol))
-        .select_larger_violation(costates.check_parameter_stationarity(solution, samples, ends, scales))
+        .select_larger(costates.check_transversality(lasting, ends, scales))
+        .select_larger(controls.check_control_stationarity(lasting, scales, tol))
+        .select_larger(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.check_switching_signs(lasting, scales).select_larger_violation(
+    active = controls.check_switching_signs(lasting, scales).select_larger(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
@@ -222,11 +222,7 @@ def _combine_optimality_conditions(name: str, parts: list[Condition]) -> Conditi
 
 
 def _check_second_order_and_switching_times(
-    solution: Solution,
-    samples: list[PhaseSamples],
-    ends: EndGradients,
-    scales: Scales,
-    tol: float,
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
     lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)

@@ -82,9 +82,7 @@ def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an infinite violation, or zero; without costates, of others."""
     worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, phase in stored.phases.items():
-        worst = worst.select_larger_violation(
-            _find_first_nonfinite_value(phase, f"phase {name}, ", with_costates)
-        )
+        worst = worst.select_larger(_find_first_nonfinite_value(phase, f"phase {name}, ", with_costates))
     return worst
 
 
@@ -96,7 +94,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.select_larger_violation(
+        worst = worst.select_larger(
             Worst(np.inf, "the problem and the solution optimise in opposite directions")
         )
     for name, phase in checked.phases.items():
@@ -134,7 +132,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
             off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
             i, k = np.unravel_index(np.argmax(off), off.shape)
             place = f"phase {phase.name}, {phase.states.labels[i]}, costate at {what} {k + 1}"
-            worst = worst.select_larger_violation(Worst(float(off[i, k]), place))
+            worst = worst.select_larger(Worst(float(off[i, k]), place))
     return worst
 
 

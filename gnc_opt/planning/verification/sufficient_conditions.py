@@ -27,14 +27,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.numerical_tolerances import (
-    MINOR,
-    NEGLIGIBLE,
-    RANK,
-    ROUNDING,
-    max_norm,
-    replace_zero_divisors_by_one,
-)
+from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
     remove_short_intervals_from_mask,
@@ -141,7 +134,7 @@ def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mas
 def _has_full_column_rank(matrix: Array) -> bool:
     for axis in (1, 0):
         sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
-        matrix = matrix / replace_zero_divisors_by_one(sizes)
+        matrix = matrix / replace_zeros_by_one(sizes)
     if matrix.shape[0] < matrix.shape[1]:
         return False
     return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
@@ -271,7 +264,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
     ).compute_largest_endpoint_changes()[:-1]
     return np.asarray(
         (get_endpoint_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
-        / replace_zero_divisors_by_one(amounts)
+        / replace_zeros_by_one(amounts)
     )
 
 

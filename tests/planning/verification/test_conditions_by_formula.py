@@ -103,10 +103,10 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
-    distances = feasibility._compute_distances_to_limits(s, own, limits, np.array([2.0, 0.5]), at)
+    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 0.5]), at)
     np.testing.assert_allclose(distances, [2.0 / np.hypot(12, 4), 0.0])
     unreached = np.array([0.0, 1.0]), x, u
-    distances = feasibility._compute_distances_to_limits(s, own, limits, np.array([2.0, 3.0]), unreached)
+    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 3.0]), unreached)
     np.testing.assert_allclose(distances, [np.inf, (3.0 - 1e12 * ROUNDING) / np.hypot(6, 3)])
 
 

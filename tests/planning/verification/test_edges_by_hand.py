@@ -16,7 +16,7 @@ from testing.given_scales import given_scales
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zero_divisors_by_one
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zeros_by_one
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
@@ -52,7 +52,7 @@ from gnc_opt.planning.verification.external_trajectory_check import (
     _remove_every_second_sample,
     _split_vector_controls,
 )
-from gnc_opt.planning.verification.feasibility import _find_largest_bound_violation
+from gnc_opt.planning.verification.feasibility import _find_bound_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_hamiltonian_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_direction_of_least_curvature
 from gnc_opt.planning.verification.stored_data_check import (
@@ -241,7 +241,7 @@ def test_misses_are_reported_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
-    find = _find_largest_bound_violation
+    find = _find_bound_violation
     worst = find(values, box, scale, ["a", "b"], ["m", "kg"])
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
     assert find(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
@@ -492,7 +492,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
 
 
 def test_ones_take_the_place_of_nothing() -> None:
-    np.testing.assert_array_equal(replace_zero_divisors_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+    np.testing.assert_array_equal(replace_zeros_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

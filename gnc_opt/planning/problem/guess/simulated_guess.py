@@ -23,7 +23,7 @@ from gnc_opt.model.ode_integration import (
     Tolerance,
     integrate_ode,
 )
-from gnc_opt.numerical_tolerances import replace_tiny_divisors_by_one
+from gnc_opt.numerical_tolerances import replace_tiny_by_one
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     guess_boundary_states,
@@ -130,9 +130,7 @@ def guess_from_simulation(
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_simulation_stop_event(problem, selected, until)
-    sizes = replace_tiny_divisors_by_one(
-        np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1]))
-    )
+    sizes = replace_tiny_by_one(np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1])))
     try:
         simulated = _integrate_guess_dynamics(evaluate_rates, start, (t0, tf), sizes, selected, stop)
     except OdeError as error:
