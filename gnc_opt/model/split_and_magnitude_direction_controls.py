@@ -24,11 +24,11 @@ class ComposedControl:
     def name(self) -> str:
         return self.variable.name
 
-    def compose_control_from_parts(self, *parts: Any) -> Any:
+    def compose_control(self, *parts: Any) -> Any:
         """Return u (size, ...), symbols or numbers, from the parts."""
         raise NotImplementedError
 
-    def decompose_control_into_parts(self, u: Array) -> tuple[Array, ...]:
+    def decompose_control(self, u: Array) -> tuple[Array, ...]:
         """Return parts that compose u (size, n_times); NaN if they are not unique."""
         raise NotImplementedError
 
@@ -39,14 +39,14 @@ class SplitControl(ComposedControl):
 
     corners: tuple[float, ...] = ()
 
-    def compose_control_from_parts(self, *parts: Any) -> Any:
+    def compose_control(self, *parts: Any) -> Any:
         """Return corners + first - second."""
         first, second = parts
         if not self.corners:
             return first - second
         return first - second + np.reshape(self.corners, (-1, *[1] * (np.ndim(first) - 1)))
 
-    def decompose_control_into_parts(self, u: Array) -> tuple[Array, Array]:
+    def decompose_control(self, u: Array) -> tuple[Array, Array]:
         """Return the positive and the negative part of u - corners."""
         beyond = u - np.reshape(self.corners or [0.0], (-1, 1))
         return np.maximum(beyond, 0.0), np.maximum(-beyond, 0.0)
@@ -74,12 +74,12 @@ class VectorControl(ComposedControl):
         """Name of the path constraint on the length of the direction."""
         return f"{self.direction} squared"
 
-    def compose_control_from_parts(self, *parts: Any) -> Any:
+    def compose_control(self, *parts: Any) -> Any:
         """Return first * second."""
         first, second = parts
         return first * second
 
-    def decompose_control_into_parts(self, u: Array) -> tuple[Array, Array]:
+    def decompose_control(self, u: Array) -> tuple[Array, Array]:
         """Return norm and direction of u."""
         norm = np.linalg.norm(u, axis=0, keepdims=True)
         return norm, np.divide(u, norm, out=np.full_like(u, np.nan), where=norm > 0)
@@ -91,12 +91,12 @@ class AssembledControl(ComposedControl):
 
     rows: tuple[int, ...] = ()
 
-    def compose_control_from_parts(self, *parts: Any) -> Any:
+    def compose_control(self, *parts: Any) -> Any:
         """Return components of first * second."""
         first, second = parts
         return (first * second)[list(self.rows)]
 
-    def decompose_control_into_parts(self, u: Array) -> tuple[Array, ...]:
+    def decompose_control(self, u: Array) -> tuple[Array, ...]:
         """Return NaN: the parts depend on other controls too."""
         return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)
 
@@ -105,11 +105,11 @@ class AssembledControl(ComposedControl):
 class UnitVectorControl(ComposedControl):
     """Unit vector in the direction of a control vector of any length."""
 
-    def compose_control_from_parts(self, *parts: Any) -> Any:
+    def compose_control(self, *parts: Any) -> Any:
         """Return the vector divided by its length."""
         norm = np.linalg.norm(parts[0], axis=0)
         return parts[0] / replace_zeros_by_one(norm)
 
-    def decompose_control_into_parts(self, u: Array) -> tuple[Array, ...]:
+    def decompose_control(self, u: Array) -> tuple[Array, ...]:
         """Return the vector unchanged."""
         return (u,)

@@ -632,7 +632,7 @@ class Model(StrictAttributes):
         size = max(first.variable.size, second.variable.size)
         parts = (first.variable.name, second.variable.name)
         composed = kind(Variable(name, size, unit), parts)
-        value = self.output(name, composed.compose_control_from_parts(first, second), unit=unit)
+        value = self.output(name, composed.compose_control(first, second), unit=unit)
         self._composed_controls[name] = composed
         return value
 

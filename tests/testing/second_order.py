@@ -23,7 +23,7 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
     solution = recompute_stored_data(solution)
     samples = list(solution.samples().values())
-    magnitude = EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()[-1]
+    magnitude = EndPoints.from_solution(solution, samples).compute_endpoint_changes()[-1]
     samples = [s.with_cost_scale(magnitude, s.feature_edges) for s in samples]
     return {
         c.name: c

@@ -299,7 +299,7 @@ class NullSpace:
     def dimension(self) -> int:
         return int(self.unit.shape[1])
 
-    def project_hessian_to_null_space(self, hessian: Any) -> Any:
+    def project_to_null_space(self, hessian: Any) -> Any:
         """Return a Hessian in all scaled variables as a Hessian in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
@@ -332,7 +332,7 @@ class NullSpace:
         return apply_projected_inverse
 
 
-def compute_curvature_along_direction(hessian: Any, direction: Array) -> tuple[float, float]:
+def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:
     """Return the curvature along a direction, absolute and relative to the sum of its terms."""
     value = float(direction @ (hessian @ direction))
     terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))

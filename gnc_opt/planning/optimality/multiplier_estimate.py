@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables_by_quadrature
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
@@ -54,11 +54,7 @@ def _find_costate_jump_candidates(
     nowhere = np.zeros(0, dtype=bool)
     found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
     for name, part in transcription.parts.items():
-        functions, phase, fit = (
-            bind_free_parameter_values(problem, name, q),
-            problem.phases[name],
-            fitted[name],
-        )
+        functions, phase, fit = (bind_parameter_values(problem, name, q), problem.phases[name], fitted[name])
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
         pure = np.flatnonzero([order != 0 for order in orders])
         if not pure.size:
@@ -363,7 +359,7 @@ def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPha
     breaks = phase.x.breaks
     middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
-    jacobian = bind_free_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
+    jacobian = bind_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
     jacobian = np.moveaxis(np.nan_to_num(jacobian), 2, 0)
     size = replace_zeros_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])

@@ -70,7 +70,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
@@ -330,7 +330,7 @@ def _differentiate_lagrangian(
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = bind_free_parameter_values(problem, s.leg.name, q, s.functions.weights)
+        functions = bind_parameter_values(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
@@ -377,7 +377,7 @@ class EndPoints:
         gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
-    def compute_largest_endpoint_changes(self) -> Array:
+    def compute_endpoint_changes(self) -> Array:
         """Return the largest changes of constraints and cost (n_constraints + 1,) over variation scales of the ends.
 
         They are the reference for vanishing costates, unlike values, which may contain constants.

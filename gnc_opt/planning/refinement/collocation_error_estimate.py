@@ -71,12 +71,12 @@ class PhaseError:
         path_scale = replace_tiny_by_one(largest)
         span = phase.duration
         overshoot = _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
-        states = s.compute_segment_maxima(overshoot)
+        states = s.segment_maxima(overshoot)
         excess = phase.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
-        mean, peak = s.integrate_over_segments(excess) / span, s.compute_segment_maxima(excess)
+        mean, peak = s.integrate_over_segments(excess) / span, s.segment_maxima(excess)
         controls = np.maximum(mean, SMALL * peak)
         mean = s.integrate_over_segments(box.compute_bound_violation(paths) / path_scale[:, None]) / span
-        peak = s.compute_segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
+        peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
         mean[s.pure_state_constraints] = peak[s.pure_state_constraints]
         residual = s.integrate_over_segments(compute_costate_residual(s, path_scale))
         costates = (COSTATE_ERROR_WEIGHT * residual) ** 2

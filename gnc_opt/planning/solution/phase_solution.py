@@ -335,7 +335,7 @@ def _evaluate_control_composed_of_parts(
 ) -> Array:
     values = source(t, side)
     parts = (values[layout.slice(part)] for part in control.parts)
-    return np.asarray(control.compose_control_from_parts(*parts))
+    return np.asarray(control.compose_control(*parts))
 
 
 def _evaluate_wrapped_angle_controls(

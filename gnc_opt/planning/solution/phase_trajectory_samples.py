@@ -60,7 +60,7 @@ class PhaseSamples:
 
     ``times`` (n_samples,) ascend; segment boundaries appear twice, as end and start of adjacent ``segments``. The
     quadrature ``weights`` are in s, zero at segment ends. ``cost_magnitude`` is 0 if unknown (see
-    `EndPoints.compute_largest_endpoint_changes`); ``feature_edges`` are edges of additional cells (s).
+    `EndPoints.compute_endpoint_changes`); ``feature_edges`` are edges of additional cells (s).
     """
 
     leg: PhaseSolution
@@ -422,7 +422,7 @@ class PhaseSamples:
         running = np.cumsum(parts, axis=1)
         return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
 
-    def compute_segment_maxima(self, values: Array) -> Array:
+    def segment_maxima(self, values: Array) -> Array:
         """Return the largest values (..., n_samples) of each segment (..., K)."""
         return np.asarray(np.maximum.reduceat(values, self.segment_starts, axis=-1))
 

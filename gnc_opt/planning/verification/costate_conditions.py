@@ -41,10 +41,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import (
-    compute_path_constraint_changes,
-    locate_maximum_over_time,
-)
+from gnc_opt.planning.verification.feasibility import compute_path_value_changes, locate_maximum_over_time
 from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
 
 ENDS = (("initial", 0), ("final", -1))
@@ -135,9 +132,7 @@ def _evaluate_costate_residuals(
     along = scales.phases[s.leg.name].along
     residual = s.adjoint_residual(s.u, mu)
     total = s.integrate_over_segments(residual)
-    inside = s.compute_segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(
-        tolerance
-    )
+    inside = s.segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(tolerance)
     share = np.fmax(along.support_function(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
@@ -239,7 +234,7 @@ def check_complementarity(
                 phase.path_multipliers,
                 paths,
                 phase.path_bounds,
-                compute_path_constraint_changes(s, scales, times, x, u),
+                compute_path_value_changes(s, scales, times, x, u),
             ),
         ):
             violation = (

@@ -19,12 +19,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
-from gnc_opt.planning.optimality.kkt_system import (
-    NullSpace,
-    ProgramLimits,
-    ProgramPoint,
-    compute_curvature_along_direction,
-)
+from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramLimits, ProgramPoint, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.solution.phase_solution import interpolate_point_values
@@ -174,10 +169,8 @@ class CriticalCone:
         Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
         """
         space = NullSpace.with_fixed_variables(self.point, self.strong | self.weak)
-        solve, change = (
-            space.factorise_projection_matrix[1],
-            np.random.default_rng(0).standard_normal(space.rows.size),
-        )
+        solve = space.factorise_projection_matrix[1]
+        change = np.random.default_rng(0).standard_normal(space.rows.size)
         for _ in range(2):
             change = solve(np.concatenate([np.zeros(space.dimension), change]))[space.dimension :]
             change /= max(float(np.linalg.norm(change)), TINY)
@@ -185,10 +178,8 @@ class CriticalCone:
             return False
         multipliers = self.point.lam.copy()
         multipliers[space.rows] += change / space.norms
-        value, share = compute_curvature_along_direction(self.point.lagrangian_hessian, direction)
-        changed, _ = compute_curvature_along_direction(
-            self.point.evaluate_hessian(1.0, multipliers), direction
-        )
+        value, share = compute_curvature(self.point.lagrangian_hessian, direction)
+        changed, _ = compute_curvature(self.point.evaluate_hessian(1.0, multipliers), direction)
         return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
     def _compute_largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:

@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
-    bind_free_parameter_values,
+    bind_parameter_values,
     build_phase_solutions,
     read_phase_parameters,
     unwrap_angles,
@@ -163,14 +163,12 @@ def verify_trajectory(
     >>> go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t}).ok
     True
     """
-    require_type(
-        problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u"
-    )
+    require_type(problem, Problem, "the first argument of verify_trajectory()", "give problem, t, x and u")
     q = _read_free_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_sampled_angles(problem, _read_sampled_phases(problem, t, x, u), q)
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
-    if verdict.minimum or twin is problem or _do_angles_exceed_full_turn_bounds(problem, twin, samples):
+    if verdict.minimum or twin is problem or _do_angles_exceed_full_turn(problem, twin, samples):
         return verdict
     other = _check_reformulated_trajectory(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
@@ -245,9 +243,7 @@ def _check_reformulated_trajectory(
     return _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, samples, q), q, tol)
 
 
-def _do_angles_exceed_full_turn_bounds(
-    problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]
-) -> bool:
+def _do_angles_exceed_full_turn(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
     """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
     for name, phase in twin.phases.items():
         if phase.numbers.turns is not None:
@@ -283,7 +279,7 @@ def _build_sampled_solution(
 ) -> Solution:
     fitted = {
         name: fit_trajectory_polynomials(
-            samples[name], bind_free_parameter_values(problem, name, q).state_rates
+            samples[name], bind_parameter_values(problem, name, q).state_rates
         ).split_mesh_segments(parts)
         for name in problem.phases
     }
@@ -331,9 +327,7 @@ def _unwrap_sampled_angles(
     found = {}
     for name, phase in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwrap_angles(
-            bind_free_parameter_values(problem, name, q), bounds, phase.t, phase.x, phase.u
-        )
+        controls = unwrap_angles(bind_parameter_values(problem, name, q), bounds, phase.t, phase.x, phase.u)
         found[name] = replace(phase, u=controls)
     return found
 
@@ -419,9 +413,7 @@ def _split_vector_controls(phase: Phase, u: Values, n_times: int) -> Values:
     for control in phase.model.composed_controls.values():
         if control.name in found:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {phase.label}"
-            parts = control.decompose_control_into_parts(
-                _read_finite_array(found.pop(control.name), shape, what)
-            )
+            parts = control.decompose_control(_read_finite_array(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
                 parts = parts[0], _fill_directions_of_zero_vectors(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)

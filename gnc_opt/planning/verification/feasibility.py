@@ -99,7 +99,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     for at, own, defects in ((s, total, residual), (scan, narrow, scanned)):
         own[:, :-1] += jumps
         running = np.where(held[at.segments], 0.0, at.cumulative_integrals(defects))
-        inside = at.compute_segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
+        inside = at.segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
         missed = ellipsoid.normalise_displacement(own)
         shares = np.fmax(shares, np.where(np.isnan(missed), np.inf, np.fmax(missed, inside)))
     k = int(np.argmax(shares))
@@ -198,16 +198,14 @@ def _compute_limit_distances(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_constraint_changes(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_value_changes(s, scales, *at)[rows, np.arange(rows.size)]
     reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_constraint_changes(
-    s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array
-) -> Array:
+def compute_path_value_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -234,10 +232,8 @@ def check_table_ranges(solution: Solution) -> Condition:
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst, refused = (
-            worst.select_larger(Worst(beyond, str(out))),
-            refused or out.table.outside == "error",
-        )
+        worst = worst.select_larger(Worst(beyond, str(out)))
+        refused = refused or out.table.outside == "error"
     result = combine_condition_results(not worst.value, refused)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
@@ -340,9 +336,8 @@ def check_reported_cost(
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
         narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED))
         if max_norm(phase.integral_weights * (narrow - phase.integrals)) > tolerance * yardstick:
-            narrow = integrate_cost_terms(
-                s.resample_at_even_times(SCANNED, LAYER_STEPS)
-            )  # for layers the scan itself may be inaccurate
+            # In thin layers the scan itself may be inaccurate.
+            narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED, LAYER_STEPS))
         rows = [
             ("integral", phase.integral_weights * (kept.integrals - phase.integrals)),
             ("peaks between the nodes of integral", phase.integral_weights * (narrow - phase.integrals)),

@@ -90,9 +90,7 @@ def compute_joint_hamiltonian_decreases(
             gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            nearby = search.minimise_hamiltonian_by_newton(
-                search._normalised_controls, np.arange(search.chosen.size)
-            )[0]
+            nearby = search.minimise_by_newton(search._normalised_controls, np.arange(search.chosen.size))[0]
             gains.append(search.average_hamiltonian_decrease(nearby))
     return gains, searched
 
@@ -147,7 +145,7 @@ class _MinimumSearch:
             ]
         )
 
-    def _substitute_normalised_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _substitute_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
         columns, (lower, span) = self.chosen[at], self._control_search_ranges
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
@@ -155,7 +153,7 @@ class _MinimumSearch:
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """Return H (n,), infinite for inadmissible controls."""
-        s, (times, x, u) = self.s, self._substitute_normalised_controls(shares, at)
+        s, (times, x, u) = self.s, self._substitute_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_path_constraints):
@@ -172,7 +170,7 @@ class _MinimumSearch:
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._substitute_normalised_controls(shares[:, off], at[off])
+            times, x, u = self._substitute_controls(shares[:, off], at[off])
             paths = functions.path_constraints(times, x, u)
             beyond = np.clip(paths, *self._path_constraint_limits[:, :, at[off]]) - paths
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
@@ -186,9 +184,7 @@ class _MinimumSearch:
 
     def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
-            self.s.functions.path_control_jacobian(*self._substitute_normalised_controls(shares, at))[
-                :, self.group
-            ]
+            self.s.functions.path_control_jacobian(*self._substitute_controls(shares, at))[:, self.group]
             * self._control_search_ranges[1]
         )
         return set_nonfinite_to_zero(np.moveaxis(jacobian, 2, 0))
@@ -197,7 +193,7 @@ class _MinimumSearch:
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._substitute_normalised_controls(shares, at)
+        s, group, (times, x, u) = self.s, self.group, self._substitute_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_search_ranges[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
@@ -216,7 +212,7 @@ class _MinimumSearch:
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
         move = draw_low_discrepancy_points(every.size, self.group.size) - self._normalised_controls
-        _, _, u = self._substitute_normalised_controls(self._normalised_controls + move, every)
+        _, _, u = self._substitute_controls(self._normalised_controls + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -228,9 +224,7 @@ class _MinimumSearch:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._substitute_normalised_controls(
-            self._normalised_controls, np.arange(self.chosen.size)
-        )
+        times, x, u = self._substitute_controls(self._normalised_controls, np.arange(self.chosen.size))
         applied = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
@@ -250,14 +244,14 @@ class _MinimumSearch:
     def find_global_minima(self) -> Array:
         """Return the minimising controls (group, n_times) from descents from all trial points."""
         shares, _, _, _, best = self._sample_trial_controls()
-        return self._minimise_hamiltonian_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
+        return self._minimise_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
 
     def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_controls()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
-        lowest, low = self.minimise_hamiltonian_by_newton(
+        lowest, low = self.minimise_by_newton(
             np.concatenate([shares[:, starts], self._normalised_controls[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
@@ -272,9 +266,7 @@ class _MinimumSearch:
             return HamiltonianGain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: when.size // 4]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_hamiltonian_decrease(
-            self._minimise_hamiltonian_from_best_points(kept, shares[:, best])
-        )
+        return self.average_hamiltonian_decrease(self._minimise_from_best_points(kept, shares[:, best]))
 
     def _sample_trial_controls(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -297,13 +289,13 @@ class _MinimumSearch:
         value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _minimise_hamiltonian_from_best_points(self, kept: Array, best: Array) -> Array:
+    def _minimise_from_best_points(self, kept: Array, best: Array) -> Array:
         every = np.arange(self.chosen.size)
         trials = np.stack(
             [self._normalised_controls, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
         )
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
-        return self.minimise_hamiltonian_by_newton(trials[lowest, :, every].T, every)[0]
+        return self.minimise_by_newton(trials[lowest, :, every].T, every)[0]
 
     def average_hamiltonian_decrease(self, better: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
@@ -341,7 +333,7 @@ class _MinimumSearch:
             np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CHEAP_CURVED * self.cost_rate)
         )
 
-    def minimise_hamiltonian_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+    def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""
         shares = self._project_onto_path_constraints(shares.copy(), at)
         value = self.evaluate_hamiltonian(shares, at)
@@ -385,7 +377,7 @@ class _MinimumSearch:
     ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.path_constraints(*self._substitute_normalised_controls(shares, at))
+        paths = functions.path_constraints(*self._substitute_controls(shares, at))
         least, most = self._path_constraint_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near

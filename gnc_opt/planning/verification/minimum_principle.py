@@ -157,9 +157,7 @@ def _search_hamiltonian_decreases(
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _compute_separable_hamiltonian_decrease(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(
-        s.times, s.x, _draw_separable_controls_in_limits(s), s.lam
-    )
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _draw_separable_controls(s), s.lam)
     gain = np.fmax(apart, set_nonfinite_to_zero(elsewhere))
     others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
@@ -188,7 +186,7 @@ def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
-def _draw_separable_controls_in_limits(s: PhaseSamples) -> Array:
+def _draw_separable_controls(s: PhaseSamples) -> Array:
     """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
     lower, upper = get_control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
@@ -207,9 +205,7 @@ def check_legendre_clebsch(
         "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    found = [
-        _find_least_control_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)
-    ]
+    found = [_find_least_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
     places = [(value, place) for value, place in found if place is not None]
     if not places:
         along = any(np.any(here) for here in singular)
@@ -220,7 +216,7 @@ def check_legendre_clebsch(
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _find_least_control_hessian_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
+def _find_least_hessian_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)

@@ -194,13 +194,11 @@ def _find_jump_of_state_rates(
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
-    def evaluate_kink_arguments(times: Array) -> Array:
+    def evaluate_arguments(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    at = find_sign_change_times(
-        evaluate_kink_arguments, np.array([i]), between[:1] + aside, between[1:] - aside
-    )
+    at = find_sign_change_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
     sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale

@@ -132,7 +132,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_stored_data(solution)
     samples = list(solution.samples().values())
     ends = get_endpoint_gradients(solution)
-    amount = float(EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()[-1])
+    amount = float(EndPoints.from_solution(solution, samples).compute_endpoint_changes()[-1])
     with_costates = has_costates(samples, ends, amount)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")

@@ -33,12 +33,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
-from gnc_opt.planning.optimality.kkt_system import (
-    NullSpace,
-    ProgramPoint,
-    compute_curvature_along_direction,
-    run_lanczos,
-)
+from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramPoint, compute_curvature, run_lanczos
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -215,7 +210,7 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     """
     singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
     limited = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
-    near = np.convolve(s.compute_segment_maxima(limited), np.ones(3), "same") > 0
+    near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
     edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
     fixed = impose_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
     if fixed or not (np.any(singular) or edges.size):
@@ -263,13 +258,11 @@ def _describe_largest_variation_component(point: ProgramPoint, solution: Solutio
 def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the smallest curvature of the Lagrangian with ``held`` (n_variables + n_constraints,) fixed."""
     space = NullSpace.with_fixed_variables(point, held, unit, further)
-    hessian = space.project_hessian_to_null_space(point.lagrangian_hessian)
+    hessian = space.project_to_null_space(point.lagrangian_hessian)
     plain = (
         hessian
         if unit is None
-        else NullSpace.with_fixed_variables(point, held).project_hessian_to_null_space(
-            point.lagrangian_hessian
-        )
+        else NullSpace.with_fixed_variables(point, held).project_to_null_space(point.lagrangian_hessian)
     )
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # A single large row, e.g. of a parameter far from its origin, is not representative.
@@ -280,7 +273,7 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature, share = compute_curvature_along_direction(hessian, direction)
+    curvature, share = compute_curvature(hessian, direction)
     whole = np.asarray(space.unit @ direction)
     # Variations by integrals may have high peaks; these count only if nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)

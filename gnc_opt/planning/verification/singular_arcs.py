@@ -113,7 +113,7 @@ def _analyse_singular_arc(
     key = "derivatives of switching functions", s.leg.name, own, others
     derivatives = problem.memoize(key, lambda: SwitchingFunctionDerivatives(s, channels, regular))
     if derivatives.coupled:
-        least = _compute_singular_hamiltonian_curvature(s, channels, regular, here)
+        least = _compute_singular_curvature(s, channels, regular, here)
         bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"
         return arc(least=least, why=COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
@@ -121,7 +121,7 @@ def _analyse_singular_arc(
         function = derivatives.differentiate_switching_function_by_controls(j)
         if function is None:
             return arc(why=f"{TOO_LARGE} {j}")
-        matrices = _evaluate_scaled_control_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
+        matrices = _evaluate_scaled_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
         size = float(np.max(np.abs(matrices)))
         flat = size if j == 0 else flat
         if size <= tolerance:
@@ -137,9 +137,7 @@ def _analyse_singular_arc(
     return arc(why=f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
-def _compute_singular_hamiltonian_curvature(
-    s: PhaseSamples, channels: Indices, regular: Indices, here: Indices
-) -> float:
+def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
     """Return the smallest curvature of H along singular controls with optimal regular ones, relative to H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / s.hamiltonian_scale
@@ -149,9 +147,7 @@ def _compute_singular_hamiltonian_curvature(
     return float(np.min(np.linalg.eigvalsh(schur)))
 
 
-def _evaluate_scaled_control_matrices(
-    s: PhaseSamples, channels: Indices, here: Indices, function: Any
-) -> Array:
+def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
     """Return matrices (n_samples, m, m) at samples of an arc, over control ranges and relative to H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]

@@ -259,9 +259,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
         constraint_multipliers=np.zeros(len(terms)),
     )
     apart = recompute_stored_data(apart)
-    amounts = EndPoints.from_solution(
-        apart, list(apart.samples().values())
-    ).compute_largest_endpoint_changes()[:-1]
+    amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_endpoint_changes()[:-1]
     return np.asarray(
         (get_endpoint_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
         / replace_zeros_by_one(amounts)

@@ -48,7 +48,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_free_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
 from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.verification.active_limits_and_touch_points import (
     compute_touch_point_lagrangian,
@@ -218,9 +218,7 @@ class ShiftedTrajectory:
         ]
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        functions = (
-            bind_free_parameter_values(problem, name, q, s.functions.weights) if q.size else s.functions
-        )
+        functions = bind_parameter_values(problem, name, q, s.functions.weights) if q.size else s.functions
         times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
@@ -379,27 +377,23 @@ def _build_end_and_parameter_variations(
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
-    found = _list_variations_not_at_limits(
-        "parameters", "", box, solution.parameter_values, np.diag(sizes), sizes
-    )
+    found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         phase, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _list_variations_not_at_limits(
+        found += _list_free_variations(
             "start", name, phase.initial_bounds, phase.x(phase.breaks[0]), starts, radius
         )
         if not np.any(phase.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
-            found += _list_variations_not_at_limits(
-                "times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts
-            )
+            found += _list_free_variations("times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _list_variations_not_at_limits(
+def _list_free_variations(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""

@@ -64,10 +64,10 @@ def test_costs_with_a_corner_of_a_control_are_linear_in_its_parts(case: Any) -> 
     assert split.corners == (pytest.approx((corner,)) if corner else ())
     assert not any(ca.which_depends(leg.integrand_expression(), leg.model.symbols("control"), 2, True))
     for a in (-2.0, -0.7, 0.2, 0.9, 3.0):
-        parts = np.concatenate(split.decompose_control_into_parts(np.array([[a]])))[:, 0]
+        parts = np.concatenate(split.decompose_control(np.array([[a]])))[:, 0]
         assert at(leg, leg.integrand_expression(), [0, 0.3], parts) == pytest.approx(value(a))
         np.testing.assert_allclose(at(leg, leg.model.state_derivative(), [0, 0.3], parts), [0.3, a])
-        assert split.compose_control_from_parts(*parts[:, None]) == pytest.approx(a)
+        assert split.compose_control(*parts[:, None]) == pytest.approx(a)
     box = leg.numbers.controls
     np.testing.assert_allclose(box.upper, [3.0 - corner, corner + 2.0])
     np.testing.assert_array_equal(box.lower, 0.0)

@@ -190,7 +190,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     )
     samples = list(solution.samples().values())
     np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
-    found = EndPoints.from_solution(solution, samples).compute_largest_endpoint_changes()
+    found = EndPoints.from_solution(solution, samples).compute_endpoint_changes()
     np.testing.assert_allclose(found[[0, 1, 3]], [20.0, 14.0, 27.0])
     assert 0 < found[2] < 1e-3  # nothing changes it: a share of its size
 

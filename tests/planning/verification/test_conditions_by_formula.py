@@ -99,7 +99,7 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
-    found = feasibility.compute_path_constraint_changes(s, own, t, x, u)
+    found = feasibility.compute_path_value_changes(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
@@ -285,7 +285,7 @@ def test_residual_of_the_adjoint_equation() -> None:
         functions=fake(state_gradient=lambda t, x, u, lam, mu: np.vstack([-0.5 * ones, mu])),
         integrate_over_segments=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @ weights[2:]], axis=1),
         cumulative_integrals=lambda v: 1e3 * v,
-        compute_segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
+        segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
     )
     s.adjoint_residual = partial(PhaseSamples.adjoint_residual, s)
     own = scales(along=round_ellipsoid(2.0, 1.0))
@@ -363,7 +363,7 @@ def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.Monke
     np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 2 * 1.5 + 4 * 1.5)
     s.functions.separable_controls = np.array([True, False])
     np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 3.0)
-    sampled = controls._draw_separable_controls_in_limits(s)
+    sampled = controls._draw_separable_controls(s)
     np.testing.assert_allclose(sampled[0], -1 + 4 * controls.draw_low_discrepancy_points(9, 2)[0])
     np.testing.assert_allclose(sampled[1], 0.5)
     s.hamiltonian, s.x, s.lam = np.full(9, 10.0), None, None
@@ -622,10 +622,7 @@ def test_angles_beyond_a_full_turn_and_their_slack() -> None:
         ([0.0, 4 + 5e-6], True),
         ([-5e-6, 2.0], True),
     ):
-        assert (
-            external._do_angles_exceed_full_turn_bounds(problem, twin, {"leg": fake(u=np.array([u]))})
-            is beyond
-        )
+        assert external._do_angles_exceed_full_turn(problem, twin, {"leg": fake(u=np.array([u]))}) is beyond
 
 
 def test_samples_of_variables_that_another_model_has_as_states() -> None:
@@ -661,7 +658,7 @@ def worst_defect(
             residual=v,
             integrate_over_segments=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
             cumulative_integrals=lambda r: np.cumsum(r, axis=-1),
-            compute_segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
+            segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
             resample_at_even_times=lambda count: sampled(values if scan is None else scan),
             **described(),
         )

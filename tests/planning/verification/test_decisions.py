@@ -102,7 +102,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("get_endpoint_gradients", fake(cost=0.0))
     result("choose_cell_edges_at_narrow_features", None)
     result("list_boundary_table_calls", ())
-    ends = fake(compute_largest_endpoint_changes=lambda: np.ones(1))
+    ends = fake(compute_endpoint_changes=lambda: np.ones(1))
     monkeypatch.setattr(check.EndPoints, "from_solution", lambda *_: ends)
     monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))
     result("has_costates", state["costates"])
@@ -293,13 +293,13 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",
     )
-    assert controls._find_least_control_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool)) == (
+    assert controls._find_least_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool)) == (
         -np.inf,
         "sample 4",
     )
     np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
     bases[:] = bases[6:] * 4
-    assert controls._find_least_control_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool))[1] is None
+    assert controls._find_least_hessian_eigenvalue(s, np.ones((2, 8), dtype=bool))[1] is None
 
 
 def test_multipliers_nearest_to_those_of_a_solution() -> None:

@@ -541,7 +541,7 @@ def test_given_times_do_not_change_the_cost() -> None:
     )
     solution = recompute_stored_data(by_hand.solution(problem, base))
     found = EndPoints.from_solution(solution, list(solution.samples().values()))
-    assert found.compute_largest_endpoint_changes() == pytest.approx(6.0)
+    assert found.compute_endpoint_changes() == pytest.approx(6.0)
 
 
 def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.MonkeyPatch) -> None:

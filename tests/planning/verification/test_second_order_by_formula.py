@@ -192,9 +192,7 @@ def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
     hessian[0, 2] = hessian[2, 0] = [3.0, 1.0]
     hessian[2, 2] = 2.0
     s = fake(control_scale=np.array([2.0, 1.0, 5.0]), control_hessian=hessian, hamiltonian_scale=8.0)
-    least = singular_arcs._compute_singular_hamiltonian_curvature(
-        s, np.array([0]), np.array([2]), np.array([0, 1])
-    )
+    least = singular_arcs._compute_singular_curvature(s, np.array([0]), np.array([2]), np.array([0, 1]))
     assert least == pytest.approx(-(3.0**2) / 2.0 * 2.0**2 / 8.0)
 
 

@@ -25,7 +25,7 @@ from gnc_opt.planning.verification.switching_time_variations import (
     _draw_unit_directions,
     _find_directions_keeping_end_conditions,
     _has_active_limits,
-    _list_variations_not_at_limits,
+    _list_free_variations,
     _scale_changes_at_active_limits,
     _ShiftedPhase,
 )
@@ -434,7 +434,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _list_variations_not_at_limits(
+        found = _list_free_variations(
             "start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3)
         )
         assert [key[:2] for key in found] == [("start", "leg")] * count

@@ -83,7 +83,7 @@ def set_control_guess(model: Model, controls: Array, name: str, values: Array) -
     if composed is None:
         controls[model.controls.slice(name)] = values
         return
-    for part, own in zip(composed.parts, composed.decompose_control_into_parts(values), strict=True):
+    for part, own in zip(composed.parts, composed.decompose_control(values), strict=True):
         place = model.controls.slice(part)
         controls[place] = np.where(np.isnan(own), controls[place], own)
 

@@ -215,9 +215,7 @@ class SplitControls(ReformulatedPhase):
         boxes = split_bounds_by_name(old.controls, phase.model.controls)
         for control in self.controls:
             box, (plus, minus) = boxes[control.name], control.parts
-            lower, upper = (
-                control.decompose_control_into_parts(end[:, None]) for end in (box.lower, box.upper)
-            )
+            lower, upper = (control.decompose_control(end[:, None]) for end in (box.lower, box.upper))
             boxes[plus] = Interval(lower[0][:, 0], upper[0][:, 0])
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
