@@ -21,9 +21,8 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # A shell ignores Ctrl-C on behalf of what it starts in the background, and processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile(
-    "gnc_opt", deadline=None, max_examples=15
-)  # the time of an example depends on the machine
+# The time of an example depends on the machine.
+settings.register_profile("gnc_opt", deadline=None, max_examples=15)
 settings.load_profile("gnc_opt")
 
 PATIENCE = 300.0

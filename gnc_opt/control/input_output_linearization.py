@@ -130,7 +130,7 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     a
     """
     t, x, _, _ = model.symbolic_arguments()
-    h = convert_to_sx_column(expression, "the expression to from_expression", failure=DesignError)
+    h = convert_to_sx_column(expression, "the expression to differentiate", failure=DesignError)
     for _ in range(order):
         h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.state_derivative())
     return h

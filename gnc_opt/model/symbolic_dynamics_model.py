@@ -341,7 +341,7 @@ class Model(StrictAttributes):
         if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
             raise ModelError(
                 f"{what} does not determine it (index higher than 1): use '{name}' in every row, or "
-                "from_expression the equation."
+                "differentiate the equation."
             )
         self._algebraic[name] = value
         return symbol

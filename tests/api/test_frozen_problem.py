@@ -38,9 +38,8 @@ def test_other_end_values_afterwards_leave_verdict_and_reference_alone() -> None
     leg.final(q=0.5)
     problem.parameter("late")
     assert go.verify(solution).ok
-    assert go.sensitivity(solution, initial="q").objective == pytest.approx(
-        1.0, abs=1e-6
-    )  # dt_f/dq0 = 1/sqrt(q0)
+    # dt_f/dq0 = 1/sqrt(q0)
+    assert go.sensitivity(solution, initial="q").objective == pytest.approx(1.0, abs=1e-6)
     assert go.Reference(solution).final_time == pytest.approx(2.0, abs=1e-9)
 
 
@@ -81,6 +80,5 @@ def test_variations_of_the_problem_of_a_solution_are_open_again() -> None:
     assert solution.problem is not None
     varied = solution.problem.with_bounds(a=(-2.0, 2.0))
     varied.get_phase().final(q=0.5)
-    assert go.solve(varied, tol=1e-8, check=False).objective == pytest.approx(
-        1.0, abs=1e-8
-    )  # 2 sqrt(0.5 / 2)
+    # 2 sqrt(0.5 / 2).
+    assert go.solve(varied, tol=1e-8, check=False).objective == pytest.approx(1.0, abs=1e-8)

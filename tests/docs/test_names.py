@@ -19,6 +19,7 @@ import pytest
 from testing.documented_names import Span, resolve
 from testing.pages import CONTRIBUTING, DOCS, FENCE, PAGES, ROOT, Page, doc, documented, options, subparsers
 
+import gnc_opt
 from gnc_opt.cli import _build_argument_parser
 
 page_by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -39,9 +40,7 @@ NOT_OURS = {
     "docs/theory/simulation_accuracy.md": {"SeedSequence([seed, i])"},
     "docs/formation_flying.md": {"J2 = 0"},
     "docs/rendezvous.md": {"minima.txt"},  # what a command writes
-    "docs/reference/json_summary.md": set(
-        documented(doc("json_summary").text)
-    ),  # compared with the JSON elsewhere
+    "docs/reference/json_summary.md": set(documented(doc("json_summary").text)),  # compared with the JSON
     "docs/rendezvous_tracking.md": {"solve_ivp"},
 }
 """Inline code that names other people's things, or data."""
@@ -65,6 +64,19 @@ def test_inline_code_names_what_exists(page: Page) -> None:
     spans = (Span(text, known) for text in page.spans if text not in NOT_OURS.get(page.name, ()))
     mistakes = [f"`{span.text}`: {span.mistake}" for span in spans if span.mistake]
     assert not mistakes, f"{page.name}:\n" + "\n".join(mistakes)
+
+
+def test_texts_of_the_package_have_no_names_of_functions_in_place_of_words() -> None:
+    code = [path.read_text(encoding="utf-8") for path in (ROOT / "gnc_opt").rglob("*.py")]
+    nodes = [node for text in code for node in ast.walk(ast.parse(text))]
+    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef)} - set(dir(gnc_opt))
+    texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    words = {
+        (word, text) for text in texts for word in re.findall(r"(?:^|(?<=[a-z] ))([a-z_]+)(?= [a-z]|$)", text)
+    }
+    verbs = ("from_", "build_", "compute_", "find_", "read_", "format_", "list_", "select_", "evaluate_")
+    known = {("read_solver_status",) * 2}  # in `__all__`
+    assert {(word, text) for word, text in words if word in names and word.startswith(verbs)} == known
 
 
 @pytest.mark.parametrize(
@@ -101,10 +113,10 @@ def test_links_and_their_files_exist(page: Page) -> None:
 def test_no_phrase_is_said_again_and_again(page: Page) -> None:
     """A careless replacement leaves the same words in many places."""
     lines = FENCE.sub("", page.text).splitlines()
-    prose = "\n".join(
+    prose = [
         line for line in lines if not line.startswith(("|", "Measured by"))
-    )  # tables and their origin
-    words = re.findall(r"[^\W_]+", prose)
+    ]  # without tables and their origin
+    words = re.findall(r"[^\W_]+", "\n".join(prose))
     phrases = Counter(" ".join(words[i : i + 7]) for i in range(len(words) - 6))
     often = {phrase: n for phrase, n in phrases.items() if n > 3}
     assert not often, f"{page.name}: {often}"

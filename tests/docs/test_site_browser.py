@@ -129,9 +129,8 @@ def test_pages_at_both_widths(site: Path, address: str, tab: Tab) -> None:
         for size in (PHONE, DESKTOP):
             tab.resize(size)
             try:
-                tab.wait(
-                    "document.documentElement.scrollWidth <= innerWidth", 3.0
-                )  # parts of the theme glide
+                # Parts of the theme glide.
+                tab.wait("document.documentElement.scrollWidth <= innerWidth", 3.0)
             except AssertionError:
                 wrong.append(f"{name}: {tab.ask('document.documentElement.scrollWidth')} wide of {size[0]}")
             wrong += [f"{name} at {size[0]}: {what}" for what in tab.ask(CUT)]

@@ -40,7 +40,7 @@ _MUMPS_LARGE = {"mumps_pivot_order": 6}
 # Nearly singular systems (badly scaled variables, very short segments) need larger pivots and balanced rows.
 _MUMPS_CAREFUL = {"mumps_pivtol": 1e-2, "mumps_scaling": 8}
 
-# For lam_p CasADi would from_expression the NLP again; these plugins do not need it.
+# For lam_p CasADi would differentiate the NLP again; these plugins do not need it.
 _WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
 
 Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]

@@ -317,7 +317,7 @@ class NullSpace:
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
     def invert_projected_hessian(self, hessian: Any = None) -> Callable[[Array], Array]:
-        """Return the inverse of a Hessian restricted to the null space; without a Hessian the projection onto it."""
+        """Return the inverse of a Hessian, by default the identity (a projection), restricted to the null space."""
         matrix, solve = (
             self.factorise_projection_matrix if hessian is None else self.factorise_hessian(hessian)
         )

@@ -271,7 +271,10 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
 def compute_hamiltonian_integral_differences(
     s: PhaseSamples, moves: Array, step: float, every: int = 1
 ) -> Array:
-    """Return central first and half second differences per step of the integral of H along moves (2, n)."""
+    """Return central first and half second differences per step of the integral of H along moves (2, n).
+
+    H is taken at every ``every``-th sample.
+    """
     x, u, lam, times = s.x[:, ::every], s.u[:, ::every], s.lam[:, ::every], s.times[::every]
     count, weights = 2 * moves.shape[1], every * s.weights[::every]
     moved = step * np.hstack([moves, -moves])

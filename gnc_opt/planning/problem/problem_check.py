@@ -290,11 +290,8 @@ def describe_missing_bounds(problem: ProblemData) -> str:
 
 def _find_unbounded_controls(phase: Phase) -> list[str]:
     """Return the controls of a phase that enter the dynamics affinely, without limits and without cost."""
-    box, u, rates = (
-        phase.numbers.controls,
-        phase.model.symbolic_arguments()[2],
-        phase.model.state_derivative(),
-    )
+    box, model = phase.numbers.controls, phase.model
+    u, rates = model.symbolic_arguments()[2], model.state_derivative()
     if phase.vector_controls:  # these are limited by their length
         return []
     limits = ca.vertcat(phase.path_expression(), phase.integrand_expression())

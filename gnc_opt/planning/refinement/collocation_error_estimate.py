@@ -201,7 +201,7 @@ def print_iterations(
 
 
 def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
-    """Return whether the errors of all passes, if these are enough, decrease too slowly to reach the tolerance."""
+    """Return whether errors of more than `CONVERGENCE_WINDOW` passes decrease too slowly to reach the tolerance."""
     if len(errors) <= CONVERGENCE_WINDOW:
         return False
     before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])

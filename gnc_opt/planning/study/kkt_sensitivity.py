@@ -107,7 +107,7 @@ def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcri
 
 def _predict_nlp_variable_change(problem: Problem, last: Solution) -> Array | None:
     """Return the first-order change of the variables (n_variables,), or None if it is unknown."""
-    old = last.need_problem("from_expression")
+    old = last.need_problem("differentiate")
     if problem.builds is not old.builds:
         return None
     try:

@@ -210,7 +210,7 @@ def sensitivity(
             f"sensitivity() needs one quantity, not {len(chosen)}: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
-    solution.need_solved_problem("from_expression")
+    solution.need_solved_problem("differentiate")
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
     quantity, changes = _list_problem_data_perturbations(point.program, solution, kind, name, phase)

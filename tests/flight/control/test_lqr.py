@@ -45,9 +45,8 @@ def wheels(inertia: tuple[float, ...] = (4.0, 4.0, 3.0)) -> go.Model:
             q: 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w)),
         }
     )
-    model.difference(
-        q, lambda x, ref: ref[3] * x[:3] - x[3] * ref[:3] - ca.cross(ref[:3], x[:3])
-    )  # vector part of ref^-1 (x) q
+    # Vector part of ref^-1 (x) q.
+    model.difference(q, lambda x, ref: ref[3] * x[:3] - x[3] * ref[:3] - ca.cross(ref[:3], x[:3]))
     return model
 
 

@@ -83,9 +83,8 @@ def test_commands_and_alarms_of_a_closed_loop_are_those_of_python(tmp_path, opti
     assert np.ptp(commands) > 0.5
     assert np.allclose(found, commands, atol=1e-8)
     assert np.array_equal(told, alarms)
-    assert alarms[0, 0] == (
-        start == [0.0, 0.9]
-    )  # 0.4 m/s too fast at the first step, 0.1 m/s a step can be had
+    # 0.4 m/s too fast at the first step, 0.1 m/s a step can be had.
+    assert alarms[0, 0] == (start == [0.0, 0.9])
 
 
 @needs_compiler
@@ -118,9 +117,8 @@ def test_header_bounds_what_the_compiler_needs(tmp_path):
     lines = next(tmp_path.glob("*.su")).read_text().splitlines()
     frames = {line.split("\t")[0].rsplit(":", 1)[1]: int(line.split("\t")[1]) for line in lines}
     chain = ("law_step", "step", "programme", "least", "add_row", "rows_of")
-    assert (
-        told <= sum(frames[name] for name in chain) < told + 200 * len(chain)
-    )  # single numbers are no arrays
+    # Single numbers are no arrays.
+    assert told <= sum(frames[name] for name in chain) < told + 200 * len(chain)
 
 
 def test_worst_case_grows_with_the_horizon_and_the_limits(tmp_path):
@@ -129,9 +127,8 @@ def test_worst_case_grows_with_the_horizon_and_the_limits(tmp_path):
         return int(re.search(r"LAW_OPERATIONS (\d+)", header)[1])
 
     short, long = operations(horizon=0.5), operations(horizon=1.0)
-    assert (
-        4 * short < long < 16 * short
-    )  # iterations in proportion to the unknowns, each of their square at most
+    # Iterations in proportion to the unknowns, each of their square at most.
+    assert 4 * short < long < 16 * short
     assert operations(horizon=0.5, rate_limits=5.0) > short
 
 

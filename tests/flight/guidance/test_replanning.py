@@ -113,9 +113,8 @@ def test_a_failed_plan_leaves_the_one_before() -> None:
     assert [r.effective > 0.5 for r in some.replans] == [r.failed for r in some.replans]
     assert len(failed) == 4 and "not this time" in failed[0].failure and np.isnan(failed[0].final_time)
     assert "8, 4 of them failed" in str(some)
-    assert some.states[:, -1] == pytest.approx(
-        [0.0, 0.0], abs=3e-4
-    )  # what was planned before leads there, too
+    # What was planned before leads there, too.
+    assert some.states[:, -1] == pytest.approx([0.0, 0.0], abs=3e-4)
     none = loop(every(solver=lambda: Spy(fails_from=0.0))).simulate([-1.2, 0.3], tf=1.0)
     blind = loop().simulate([-1.2, 0.3], tf=1.0)
     assert np.array_equal(none.states, blind.states)

@@ -246,7 +246,7 @@ class SwitchedFlow:
         return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
-        """Return the trajectory as a solution with Hermite interpolants and one point per integration step."""
+        """Return the trajectory, which may exceed limits, as a solution with one point per integration step."""
         s, grid = self.s, self.integration_grid_times
         first = STEP_PARTS * np.flatnonzero(np.diff(self.step_times) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
