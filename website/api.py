@@ -80,7 +80,7 @@ def package_names() -> dict[str, tuple[str, ...]]:
 
 def entries() -> dict[str, list[Entry]]:
     """Return the entries of each package's page, each public object on one page only."""
-    pages: dict[str, dict[str, Entry]] = {f"gnc_opt.{package}": {} for package in TITLES} | {"gnc_opt": {}}
+    pages: dict[str, dict[str, Entry]] = {name: {} for name in (*(f"gnc_opt.{p}" for p in TITLES), "gnc_opt")}
     for package, names in package_names().items():
         for name in names:
             entry = _entry(package, name)

@@ -144,8 +144,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def documented_version(changelog: str) -> str:
     """Return the newest version of the changelog: "0.4.0 (unreleased)" until its release."""
-    unreleased, version = re.findall(r"(?m)^## (Unreleased \()?([\d.]+)", changelog)[0]
-    return version + " (unreleased)" * bool(unreleased)
+    found = re.search(r"(?m)^## (Unreleased \()?([\d.]+)", changelog)
+    assert found is not None
+    return found[2] + " (unreleased)" * bool(found[1])
 
 
 def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:

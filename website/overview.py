@@ -19,7 +19,7 @@ import gnc_opt as go
 from gnc_opt.plot import save_figure
 from gnc_opt.plot.figure_style import COLORS, QUIET, apply_plot_style
 from gnc_opt.spacecraft import mrp_to_dcm
-from problems import rendezvous
+from problems.rendezvous.model import build
 
 CHASER_SIZE_M = (2.4, 1.6, 1.6)
 """Edges along the body axes; the publication gives none."""
@@ -40,7 +40,7 @@ GROUPS = {
 
 def overview() -> Figure:
     """Return the figure of the time-optimal rendezvous, case 1, refined to 1e-8."""
-    solution = go.solve(rendezvous.build(case=1), tol=1e-8)
+    solution = go.solve(build(case=1), tol=1e-8)
     with apply_plot_style():
         figure = Figure(figsize=(10.0, 5.6))
         left, right = figure.subfigures(1, 2, width_ratios=(0.44, 0.56))
@@ -99,7 +99,7 @@ def _draw_controls(figure: Any, solution: go.Solution) -> None:
     for column, (name, labels) in enumerate(NAMES.items()):
         rows = leg.controls.slice(name)
         applied = leg.applied(t)[rows] / leg.control_bounds.upper[rows][:, None]
-        switching = solution.switching_function(name, t)
+        switching = np.asarray(solution.switching_function(name, t))
         for i, label in enumerate(labels):
             ax = axes[i, column]
             ax.fill_between(t, applied[i], step="mid", color=COLORS[0], alpha=0.25, linewidth=0.0)

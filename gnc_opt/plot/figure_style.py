@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -71,36 +72,35 @@ def create_figure_with_axes_rows(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes in reading order, with one or two axes per row.
 
-    All axes have the size of half a page. The figure can be cut in the middle: a report shows the halves below each
-    other on narrow screens. The last axes of each column has the tick labels of a shared x axis.
+    Rows of one axes in a figure of two columns have the full width. The figure can be cut in the middle of the other
+    rows: a report shows the halves below each other on narrow screens. Where the x axis is shared, the last row of equal
+    width has its tick labels.
     """
     columns, gap = max(counts), gap if share_x else gap + _BOTTOM
-    width, height = columns * PANEL_WIDTH, _TOP + _BOTTOM + row_height * len(counts) + gap * (len(counts) - 1)
-    figure = Figure(figsize=(width, height))
-    inner = PANEL_WIDTH - _LEFT - _RIGHT
-    grid = figure.add_gridspec(
-        *(len(counts), columns),
-        left=_LEFT / width,
-        right=1 - _RIGHT / width,
-        wspace=(_LEFT + _RIGHT) / inner,
-        bottom=_BOTTOM / height,
-        top=1 - _TOP / height,
-        hspace=gap / row_height,
-    )
+    bands = [(count, len(list(rows))) for count, rows in groupby(counts)]
+    heights = [rows * row_height + (rows - 1) * gap for _, rows in bands]
+    between = gap + _BOTTOM * share_x
+    width, height = columns * PANEL_WIDTH, _TOP + _BOTTOM + sum(heights) + between * (len(bands) - 1)
+    figure, top = Figure(figsize=(width, height)), height - _TOP
     axes: list[Axes] = []
-    for row, count in enumerate(counts):
-        for column in range(count):
-            axes.append(figure.add_subplot(grid[row, column], sharex=axes[0] if axes and share_x else None))
+    for (count, rows), band_height in zip(bands, heights, strict=True):
+        inner = width / count - _LEFT - _RIGHT
+        grid = figure.add_gridspec(
+            *(rows, count),
+            left=_LEFT / width,
+            right=1 - _RIGHT / width,
+            wspace=(_LEFT + _RIGHT) / inner,
+            bottom=(top - band_height) / height,
+            top=top / height,
+            hspace=gap / row_height,
+        )
+        top -= band_height + between
+        for cell in grid:
+            axes.append(figure.add_subplot(cell, sharex=axes[0] if axes and share_x else None))
             axes[-1].yaxis.set_label_coords((0.36 - _LEFT) / inner, 0.5)
             axes[-1].yaxis.label.set_linespacing(1.0)  # two lines stay in the margin
-    for ax in axes:
-        ax.tick_params(labelbottom=not share_x or ax in find_bottom_axes_of_columns(figure))
+            axes[-1].tick_params(labelbottom=not share_x or cell.is_last_row())
     return figure, axes
-
-
-def find_bottom_axes_of_columns(figure: Figure) -> list[Axes]:
-    """Return the last axes of each column."""
-    return list({ax.get_subplotspec().colspan.start: ax for ax in figure.axes}.values())
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
@@ -158,4 +158,5 @@ def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
     place["handlelength"] = 1.6 if sum(lengths) > 0.8 * _LEGEND_CHARACTERS else 2.6
     ax.legend(handles=list(handles.values()), ncols=max(columns, 1), columnspacing=1.2, **place)
-    ax.yaxis.get_offset_text().set_x(-0.2)  # the power of ten is left of the legend
+    axes_width = ax.get_position().width * ax.get_figure(root=True).get_figwidth()
+    ax.yaxis.get_offset_text().set_x(-0.68 / axes_width)  # the power of ten is left of the legend

@@ -17,7 +17,6 @@ from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
-    find_bottom_axes_of_columns,
     format_variable_name,
     get_line_style,
 )
@@ -88,10 +87,11 @@ _NO_TIMES = ("rad", "deg", "m", "km", "m/s", "km/s")
 
 
 def label_bottom_time_axes(figure: Figure, unit: str) -> None:
-    """Add a time label to the last axes of each column."""
+    """Add a time label to the axes that have tick labels for it."""
     quantity = "independent variable" if unit in _NO_TIMES else "time"
-    for ax in find_bottom_axes_of_columns(figure):
-        ax.set_xlabel(f"{quantity} ({unit})")
+    for ax in figure.axes:
+        if ax.get_subplotspec().is_last_row():
+            ax.set_xlabel(f"{quantity} ({unit})")
 
 
 def sample_piecewise_function(

@@ -100,7 +100,7 @@ def embed_svg_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
         window = " ".join(f"{number:g}" for number in box)
         body = re.sub(r'(?s)<style.*?</style>|(?<=<g) id="[^"]*"', "", body)
         panels.append(
-            f'<div class="{"right" * (box[0] > 0.0)}"><svg viewBox="{window}" {label}>{body}</svg></div>'
+            f'<div class="{"right" if box[0] > 0.0 else "full" * (box[2] > width / 2)}"><svg viewBox="{window}" {label}>{body}</svg></div>'
         )
         label = 'aria-hidden="true"'
     caption = f"<figcaption>{escape(caption)}</figcaption></figure>"
@@ -108,21 +108,23 @@ def embed_svg_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
 
 
 def _split_svg_figure_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
-    """Return the drawings of axes in two columns by their view boxes; axes with the same frame share one."""
-    frames: dict[tuple[float, float, float], str] = {}
+    """Return the drawings of axes in two columns or both, by their view boxes; axes with the same frame share one."""
+    frames: dict[tuple[float, float, float, float], str] = {}
     for body in axes:
         corners = re.findall(r"[ML] ([\d.]+) ([\d.]+)", body)[:3]
-        (x, bottom), _, (_, top) = ((float(a), float(b)) for a, b in corners)
-        frame = width / 2 * (x > width / 2), top, bottom
+        (left, bottom), _, (right, top) = ((float(a), float(b)) for a, b in corners)
+        half = width / 2 * (left > width / 2)
+        frame = half, top, bottom, width if right - left > width / 2 else half + width / 2
         frames[frame] = frames.get(frame, "") + body
     views: dict[tuple[float, ...], str] = {}
-    for left, top, bottom in frames:
-        column = sorted(frame for frame in frames if frame[0] == left)
-        k = column.index((left, top, bottom))
+    for frame, body in frames.items():
+        left, top, bottom, right = frame
+        column = sorted((f for f in frames if f[0] < right and f[3] > left), key=lambda f: f[1])
+        k = column.index(frame)
         ends = [a[2] + (36.0 if b[1] - a[2] > 36.0 else 6.0) for a, b in pairwise(column)]  # below the labels
         start, end = [0.0, *ends, min(column[-1][2] + 36.0, height)][k : k + 2]
         start = min(start, max(top - 18.0, 0.0))  # above the power of ten of the axis
-        views[left, start, width / 2, end - start] = frames[left, top, bottom]
+        views[left, start, right - left, end - start] = body
     return views
 
 

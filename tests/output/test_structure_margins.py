@@ -92,14 +92,18 @@ def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
     )
 
 
-def test_columns_of_a_figure_end_below_their_last_axes(tmp_path):
-    """Three axes in two columns: the right column, with one, has half the height of the left one."""
-    files = {"states": save_figure(create_figure_with_axes_rows([2, 1], 1.8)[0], tmp_path / "states.svg")}
-    boxes = re.findall(
-        r'<div class="(right|)"><svg viewBox="([^"]+)"', embed_svg_figure(files, "states", "Text.")
-    )
-    ends = {side: sum(map(float, box.split()[1::2])) for side, box in boxes}
-    assert ends["right"] < 0.6 * ends[""]
+@pytest.mark.parametrize(
+    "counts, kinds", [([2, 1], ["", "right", "full"]), ([1, 2], ["full", "", "right"])]
+)
+def test_rows_of_one_axes_have_the_full_width(tmp_path, counts, kinds):
+    figure, axes = create_figure_with_axes_rows(counts, 1.8)
+    html = embed_svg_figure({"states": save_figure(figure, tmp_path / "states.svg")}, "states", "Text.")
+    found = re.findall(r'<div class="(right|full|)"><svg viewBox="([^"]+)"', html)
+    assert [kind for kind, _ in found] == kinds
+    boxes = {kind: list(map(float, box.split())) for kind, box in found}
+    assert boxes["full"][2] == 2 * boxes[""][2] and boxes[""][1::2] == boxes["right"][1::2]
+    assert sum(box[3] for box in (boxes["full"], boxes[""])) < 72 * figure.get_figheight() + 18
+    assert all(ax.xaxis.get_tick_params()["labelbottom"] for ax in axes)
 
 
 def test_command_of_a_report_is_that_of_the_program(monkeypatch):
