@@ -33,6 +33,13 @@ def pluralise_noun(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
+def format_percentage(share: float) -> str:
+    """Return a share with two significant digits of it and of the remainder: "62.0 %", "99.92 %"."""
+    rest = min(share, 1.0 - share)
+    digits = min(max(1 - math.floor(math.log10(100.0 * rest)), 1), 4) if rest > 0.0 else 1
+    return f"{100.0 * share:.{digits}f} %"
+
+
 def read_status_explanations(kind: str) -> dict[str, str]:
     """Return remedies by status of a "solve" or "refinement" or by "condition", or statuses by "solver names"."""
     text = Path(__file__).with_name("status_remedies.json").read_text(encoding="utf-8")

@@ -32,7 +32,7 @@ from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_html_and_json_formatting import PrintableResult, pluralise_noun
+from gnc_opt.text_html_and_json_formatting import PrintableResult, format_percentage, pluralise_noun
 
 
 def format_covariance_table(found: LinearCovariance) -> str:
@@ -49,13 +49,9 @@ def format_covariance_table(found: LinearCovariance) -> str:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         shares = [(s, share) for s, share in found.variance_budget(variable.name).items() if share > 0][:3]
-        lines.append((line + ", ".join(f"{s} {_format_percentage(share)}" for s, share in shares)).rstrip())
+        lines.append((line + ", ".join(f"{s} {format_percentage(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
-
-
-def _format_percentage(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 FROZEN_GAINS_MAX_NIS = 1e-2

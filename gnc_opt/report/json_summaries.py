@@ -1,4 +1,4 @@
-"""JSON summaries of solutions and searches, see docs/reference/json_summary.md."""
+"""JSON summaries of solutions and searches: the page "The JSON summary" of the documentation describes the fields."""
 
 from __future__ import annotations
 

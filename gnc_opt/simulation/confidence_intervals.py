@@ -12,6 +12,7 @@ from gnc_opt.argument_checks import read_float_array, read_integer, read_probabi
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.numerical_tolerances import EQUAL
+from gnc_opt.text_html_and_json_formatting import format_percentage
 
 CONFIDENCE = 0.95
 """Default confidence of all intervals."""
@@ -39,7 +40,7 @@ class PassRate:
         return self.passed / self.runs
 
     def __str__(self) -> str:
-        return f"{_format_percent(self.rate)} ({_format_percent(self.low)} to {_format_percent(self.high)})"
+        return f"{format_percentage(self.rate)} ({format_percentage(self.low)} to {format_percentage(self.high)})"
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,3 @@ def _sort_with_nan_last(values: ArrayLike) -> Array:
     if not array.size:
         raise ArgumentError("there are no values to take a percentile of: give some.")
     return np.sort(np.where(np.isnan(array), np.inf, array))
-
-
-def _format_percent(share: float) -> str:
-    digits = 1 if share in (0, 1) else int(np.clip(1 - np.floor(np.log10(100 * min(share, 1 - share))), 1, 4))
-    return f"{100 * share:.{digits}f} %"

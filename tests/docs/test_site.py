@@ -240,6 +240,7 @@ def test_modules_of_the_reference_have_titles() -> None:
     assert "## Export of a controller as self-contained C99\n" in page
     headings = re.findall(r"(?m)^## (.+)$", "\n".join(api.pages().values()))
     assert all(heading[0] == "[" or heading[0].isupper() for heading in headings)
+    assert not [page for page, text in api.pages().items() if "docs/" in text]  # a folder that readers lack
 
 
 def test_pictures_of_pages_are_those_of_their_examples() -> None:
