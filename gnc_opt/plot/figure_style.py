@@ -73,8 +73,8 @@ def create_figure_with_axes_rows(
     """Return a figure and its axes in reading order, with one or two axes per row.
 
     Rows of one axes in a figure of two columns have the full width. The figure can be cut in the middle of the other
-    rows: a report shows the halves below each other on narrow screens. Where the x axis is shared, the last row of equal
-    width has its tick labels.
+    rows: a report shows the halves below each other on narrow screens. If the x axis is shared, the last row of axes
+    of equal width has its tick labels.
     """
     columns, gap = max(counts), gap if share_x else gap + _BOTTOM
     bands = [(count, len(list(rows))) for count, rows in groupby(counts)]

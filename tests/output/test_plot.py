@@ -238,7 +238,9 @@ def test_bounded_components_have_a_row_with_their_switching_function_and_others_
     assert len(figure.axes[6].get_lines()) == 3  # the control without bounds
     assert [ax.get_xlabel() == "time (s)" for ax in figure.axes] == [False] * 4 + [True] * 3
     boxes, middle = [ax.get_tightbbox() for ax in figure.axes], 0.5 * figure.bbox.width
-    assert max(box.x1 for box in boxes[:6:2]) < middle < min(box.x0 for box in boxes[1:6:2])  # to be cut apart
+    assert (
+        max(box.x1 for box in boxes[:6:2]) < middle < min(box.x0 for box in boxes[1:6:2])
+    )  # to be cut apart
     assert boxes[6].x0 < middle < boxes[6].x1
 
 

@@ -92,9 +92,7 @@ def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    "counts, kinds", [([2, 1], ["", "right", "full"]), ([1, 2], ["full", "", "right"])]
-)
+@pytest.mark.parametrize("counts, kinds", [([2, 1], ["", "right", "full"]), ([1, 2], ["full", "", "right"])])
 def test_rows_of_one_axes_have_the_full_width(tmp_path, counts, kinds):
     figure, axes = create_figure_with_axes_rows(counts, 1.8)
     html = embed_svg_figure({"states": save_figure(figure, tmp_path / "states.svg")}, "states", "Text.")
