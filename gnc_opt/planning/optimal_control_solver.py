@@ -18,8 +18,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, select_best_candidate
-from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_stages
-from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement, StructureChoice
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownArcs,
     KnownSwitches,
@@ -289,8 +288,7 @@ def solve(
     if tol is None or not solution.status.solved:
         return solution
 
-    stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, None, progress)
-    final = run_refinement_stages(solution, stages, structure)
+    final = StagedRefinement(solution, tol, budget, check, None, progress).run_stages(structure)
     return final if guess is None else record_solve_method(final, SolveMethod.WARM)
 
 

@@ -51,7 +51,7 @@ def test_import_alone_loads_nothing_and_a_name_what_it_needs() -> None:
     assert printed(f"import sys, gnc_opt; {others}") == []
     assert printed(f"import sys, gnc_opt; gnc_opt.Model; {others}") == ["casadi", "numpy"]
     assert printed(
-        "import sys, gnc_opt; gnc_opt.Problem; print('gnc_opt.planning.refinement.solution_refinement' in sys.modules)"
+        "import sys, gnc_opt; gnc_opt.Problem; print('gnc_opt.planning.refinement.staged_refinement' in sys.modules)"
     ) == ["False"]
 
 

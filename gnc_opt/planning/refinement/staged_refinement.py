@@ -27,11 +27,13 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.computation_budget import WorkBudget
+from gnc_opt.argument_checks import read_positive_number, require_type, suggest_keywords
+from gnc_opt.errors import ProblemError, suggest_similar_name
+from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
@@ -46,10 +48,12 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_stru
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import Segments, optimise_switching_times
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
 """Segments of the two finer stages in all phases together, at least a quarter of them in each, and their degree."""
@@ -74,16 +78,82 @@ MIDDLE, FINE = f"{MIDDLE_SEGMENTS} segments", f"{FINE_SEGMENTS} segments"
 BARRIER_OPTION = "ipopt.mu_strategy"
 
 
+StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
+
+
+@limit_to_one_thread()
+@suggest_keywords
+def refine(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    structure: StructureChoice = "auto",
+    check: bool = True,
+    limits: RefinementLimits | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> Solution:
+    """Return a more accurate solution of the same problem, with its ``history``.
+
+    Parameters
+    ----------
+    solution : Solution
+        A converged solution with its problem. Arcs fixed by `Problem.with_fixed_arcs` belong to its mesh: the refined
+        solution is one of the problem without them.
+    tol : float
+        On the local errors (`gnc_opt.planning.refinement.collocation_error_estimate`) and on the estimated
+        relative error of the objective (`gnc_opt.planning.solution.solution_accuracy`).
+    structure : {"auto", "bang-bang", "none"}
+        ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
+        switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
+        enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
+        ``"auto"``: the sequence of stages above.
+    check : bool
+        Whether the solution must pass the optimality check; without it, the history ends as UNCHECKED.
+    limits : RefinementLimits, optional
+        On passes, points, work and wall time. At a limit, and after Ctrl-C, the best solution so far is returned.
+    options : SolverOptions, optional
+        Options of the solves; a wall time limit in them applies to one solve.
+    progress : bool
+        Print one line per pass.
+
+    Returns
+    -------
+    Solution
+        With ``history`` and, if switching times were optimised, ``structure``. The history ends as CONVERGED only if
+        the tolerance was reached and no condition of the optimality check fails; otherwise its message lists them. The
+        verdict is stored in the solution: ``verify(solution)`` returns it without another check.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem or is not solved.
+    ProblemError
+        ``structure`` is unknown, or is ``"bang-bang"`` and no control is linear in H with finite bounds.
+
+    Examples
+    --------
+    >>> coarse = go.solve(problem, mesh="5x3", tol=None)
+    >>> print(abs(coarse.objective - 2) < 1e-6, abs(go.refine(coarse).objective - 2) < 1e-8)
+    False True
+    """
+    require_type(solution, Solution, "the argument of refine()", "write refine(solve(problem))")
+    read_positive_number(tol, "the tolerance of refine()")
+    limits = limits or RefinementLimits()
+    require_type(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
+    solution.need_solved_problem("refine")
+    budget = WorkBudget.start_work_budget(limits)
+    return StagedRefinement(solution, tol, budget, check, options, progress).run_stages(structure)
+
+
 @dataclass(eq=False)
 class StagedRefinement:
-    """Search for an accurate solution of one problem: settings, work budget and candidates.
+    """Search for an accurate solution from the ``first`` one, on a first mesh: settings, work budget and candidates.
 
-    The problem is in the form solved (`gnc_opt.planning.problem.reformulation`). ``tol`` limits the local errors and
-    the estimated error of the objective relative to the objective. With ``check``, the search ends only with a solution
-    that passes the optimality check. ``begin`` is the time at which it began, s, of `time.perf_counter`.
+    ``begin`` is the time at which the search began, s, of `time.perf_counter`. See `refine`.
     """
 
-    problem: Problem
+    first: Solution
     tol: float
     budget: WorkBudget
     check: bool = True
@@ -94,40 +164,14 @@ class StagedRefinement:
     _first: Candidate | None = None
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
 
-    def refine_in_stages(self, first: Solution) -> Solution:
-        """Run all stages from a solution on a first mesh and return the best solution."""
-        return self._run_stages_until_termination(first, self._iterate_refinement_stages(first))
-
-    def refine_mesh(self, first: Solution) -> Solution:
-        """Return the result of hp refinement only, from a solution on a mesh."""
-        self._record_candidate_solution(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return self._run_stages_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
-
-    def refine_with_fixed_arcs(self, first: Solution) -> Solution:
-        """Return the result of the switching-time formulation with the arcs of a solution."""
-        found = detect_arc_structures(first)
-        if not _may_have_switches_or_kinks(first, found, at_least=0):
-            raise ProblemError(
-                f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
-                'bounds: use structure="none".'
-            )
-        return self._run_stages_until_termination(
-            first, self._solve_with_detected_arcs(first, FIRST, found, share=1.0)
-        )
-
-    def build_interrupted_result(self, first: Solution) -> Solution:
-        """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
-        candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
-        return build_solution_of_best_candidate(
-            [candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False
-        )
-
-    # --- sequence of solves -------------------------------------------------------------------------------------
-
-    def _run_stages_until_termination(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+    def run_stages(self, structure: StructureChoice) -> Solution:
+        """Return the best solution that the stages find; see `refine`."""
+        if structure not in get_args(StructureChoice):
+            similar = suggest_similar_name(str(structure), get_args(StructureChoice))
+            raise ProblemError(f"refine() has no structure {structure!r}: {similar}")
         ended: RefinementStatus | None = None
         try:
-            for candidate in stages:
+            for candidate in self._iterate_stages_of_structure(structure):
                 self._record_candidate_solution(candidate)
                 ended = self._classify_termination(candidate)
                 if ended is not None:
@@ -136,11 +180,29 @@ class StagedRefinement:
             ended = RefinementStatus.INTERRUPTED
         if ended is RefinementStatus.CONVERGED:
             ended = None
-        elif not any(c.is_solved and c.solution is first for c in self.candidates):
-            self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        elif not any(c.is_solved and c.solution is self.first for c in self.candidates):
+            self.candidates.append(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
         return build_solution_of_best_candidate(
             self.candidates, ended, self.tol, self.begin, self.check, self._first
         )
+
+    def _iterate_stages_of_structure(self, structure: StructureChoice) -> Iterator[Candidate]:
+        self._solve_without_fixed_arcs()
+        if structure == "auto":
+            yield from self._iterate_refinement_stages()
+        elif structure == "none":
+            self._record_candidate_solution(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
+            yield from self._refine_mesh_by_hp(self.first, 1.0)
+        else:
+            found = detect_arc_structures(self.first)
+            if not _may_have_switches_or_kinks(self.first, found, at_least=0):
+                raise ProblemError(
+                    f"no control of '{self.first.problem_name}' enters the Hamiltonian linearly between two finite "
+                    'bounds: use structure="none".'
+                )
+            yield from self._solve_with_detected_arcs(self.first, FIRST, found, share=1.0)
+
+    # --- sequence of solves -------------------------------------------------------------------------------------
 
     def _record_candidate_solution(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
@@ -164,11 +226,11 @@ class StagedRefinement:
             return False
         if not self.check:
             return candidate.is_objective_error_small(self.tol) and not candidate.is_false_extremal
-        resolved = candidate.largest_local_error <= self.tol
-        stands = bool(candidate.solution.structure) and candidate.history.converged
-        return (resolved or stands) and candidate.verdict.ok
+        has_final_arcs = bool(candidate.solution.structure) and candidate.history.converged
+        return (candidate.largest_local_error <= self.tol or has_final_arcs) and candidate.verdict.ok
 
-    def _iterate_refinement_stages(self, first: Solution) -> Iterator[Candidate]:
+    def _iterate_refinement_stages(self) -> Iterator[Candidate]:
+        first = self._first = Candidate.from_solve(self.first, self.tol, self.begin, FIRST)
         yield from self._refine_first_mesh(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
@@ -177,41 +239,40 @@ class StagedRefinement:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                if other.has_lower_cost_on_same_mesh(self._get_candidate_by_solution(first)):
-                    first = other.solution
-                    yield from self._refine_first_mesh(first, stage)
-        middle = yield from self._solve_on_medium_mesh(first)
+                if other.has_lower_cost_on_same_mesh(first):
+                    first = other
+                    yield from self._refine_first_mesh(first)
+        middle = yield from self._solve_on_medium_mesh(first.solution)
         if not any(solved for _, solved in self._tried):
             yield from self._solve_with_detected_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_candidate_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
-            again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
+            again = self._solve_from_minimum_hamiltonian(fine, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
                 fine = again if again.has_lower_cost_on_same_mesh(fine) else fine
             yield from self._solve_with_detected_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
-    def _refine_first_mesh(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
-        candidate = Candidate.from_solve(first, self.tol, self.begin, stage)
-        found = detect_arc_structures(first)
-        arcs = _may_have_switches_or_kinks(first, found, at_least=1)
-        if stage == FIRST:
-            self._first = candidate
+    def _refine_first_mesh(self, first: Candidate) -> Iterator[Candidate]:
+        found = detect_arc_structures(first.solution)
+        arcs = _may_have_switches_or_kinks(first.solution, found, at_least=1)
         if arcs:
-            yield from self._solve_with_detected_arcs(first, f"{stage}, switching times", found)
-        if stage == FIRST:
-            yield candidate
-        if not arcs or candidate.is_objective_error_small(self.tol):
-            yield from self._refine_mesh_by_hp(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
+            yield from self._solve_with_detected_arcs(
+                first.solution, f"{first.stage}, switching times", found
+            )
+        if first is self._first:
+            yield first
+        if not arcs or first.is_objective_error_small(self.tol):
+            yield from self._refine_mesh_by_hp(first.solution, STAGE_MAX_SHARE, f"{first.stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_candidate_on_mesh(MIDDLE, meshes, first)
         yield found
-        simulated = with_simulated_guess(self.problem)
+        simulated = with_simulated_guess(self.first.need_problem("refine"))
         if simulated is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             stage = f"{MIDDLE}, integrated guess"
@@ -237,8 +298,17 @@ class StagedRefinement:
 
     # --- single solves ------------------------------------------------------------------------------------------------
 
-    def _get_candidate_by_solution(self, solution: Solution) -> Candidate:
-        return next(c for c in self.candidates if c.is_solved and c.solution is solution)
+    def _solve_without_fixed_arcs(self) -> None:
+        """Solve the problem on the first mesh without its fixed arcs, which belong to that mesh, if it has any."""
+        problem = self.first.need_problem("refine")
+        for name, phase in problem.phases.items():
+            if phase.numbers.arcs is not None:
+                problem = problem.with_fixed_arcs(name, arcs=None)
+        if problem is not self.first.problem:
+            self.first = replace(self.first, problem=problem.frozen())
+            meshes = {name: fix_mesh_breaks(phase) for name, phase in self.first.phases.items()}
+            found = self._solve_candidate_on_mesh(FIRST, meshes, self.first)
+            self.first = found.solution if found.is_solved else self.first
 
     def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
@@ -257,11 +327,10 @@ class StagedRefinement:
         trajectory_only: bool = False,
     ) -> Candidate:
         begin = time.perf_counter()
-        like = self.candidates[0].solution
         found = solve_problem_on_mesh(
-            problem or self.problem,
+            problem or self.first.need_problem("refine"),
             meshes,
-            scheme=like.scheme,
+            scheme=self.first.scheme,
             guess=guess,
             options=options or self.options,
             budget=self.budget.allot_work_budget_share(
@@ -271,20 +340,20 @@ class StagedRefinement:
         )
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        found = replace(found, problem=like.problem)
+        found = replace(found, problem=self.first.problem)
         return Candidate.from_solve(found, self.tol, begin, stage)
 
-    def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
+    def _solve_from_minimum_hamiltonian(self, start: Candidate, stage: str) -> Candidate | None:
         """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
-        if not self._get_candidate_by_solution(start).is_false_extremal:
+        if not start.is_false_extremal:
             return None
-        meshes = {name: phase.mesh for name, phase in start.phases.items()}
-        guess = guess_by_minimum_hamiltonian(start)
+        meshes = {name: phase.mesh for name, phase in start.solution.phases.items()}
+        guess = guess_by_minimum_hamiltonian(start.solution)
         return self._solve_candidate_on_mesh(
             stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True
         )
 
-    def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
+    def _solve_with_adaptive_barrier(self, start: Candidate, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
         options = self.options or SolverOptions()
         if any(c.is_objective_error_small(self.tol) for c in self.candidates):
@@ -292,8 +361,8 @@ class StagedRefinement:
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
-        meshes = {name: phase.mesh for name, phase in start.phases.items()}
-        most = WARM_MAX_ITERATIONS + start.statistics.iterations
+        meshes = {name: phase.mesh for name, phase in start.solution.phases.items()}
+        most = WARM_MAX_ITERATIONS + start.solution.statistics.iterations
         return self._solve_candidate_on_mesh(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh_by_hp(
@@ -358,11 +427,10 @@ def _may_have_switches_or_kinks(
     """Return whether a control may have switches or kinks in a phase with more subarcs than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
         subarcs, touches = found[name].n_subarcs, found[name].touches
-        if any(touches[0] + touches[-1]) or (subarcs > at_least and np.any(mask_affine_controls(samples))):
-            return True
         # Regular controls need no arcs while they stay between their bounds.
         curved = mask_nonconvex_controls(samples) | mask_convex_controls(samples)
-        if subarcs > 1 and np.any(curved):
+        arcs = subarcs > at_least and np.any(mask_affine_controls(samples)), subarcs > 1 and np.any(curved)
+        if any(touches[0] + touches[-1]) or any(arcs):
             return True
     return False
 

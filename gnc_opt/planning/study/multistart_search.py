@@ -24,8 +24,8 @@ from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.random_guess import does_start_keep_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.solution_refinement import StructureChoice
-from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
+from gnc_opt.planning.refinement.staged_refinement import StructureChoice
+from gnc_opt.planning.refinement.staged_refinement import refine as refine_solution
 from gnc_opt.planning.solution.defects_and_violations import (
     compute_final_propagation_error,
     find_worst_defect,

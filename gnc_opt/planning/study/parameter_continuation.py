@@ -16,7 +16,7 @@ from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.solution_refinement import refine
+from gnc_opt.planning.refinement.staged_refinement import refine
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme

@@ -226,11 +226,12 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
     module = importlib.import_module("gnc_opt.planning.optimal_control_solver")
     ends: list[float] = []
 
-    def refined(solution: go.Solution, stages: Any, _: str) -> go.Solution:
+    def refined(stages: Any, _: str) -> go.Solution:
         ends.append(stages.budget.deadline)
-        return solution
+        first: go.Solution = stages.first
+        return first
 
-    monkeypatch.setattr(module, "run_refinement_stages", refined)
+    monkeypatch.setattr(module.StagedRefinement, "run_stages", refined)
     begin = time.perf_counter()
     go.solve(swing(), mesh="4x4", tol=1e-8, options=go.SolverOptions(max_wall_time=100.0))
     assert begin < ends[0] - 100.0 < begin + 1.0
