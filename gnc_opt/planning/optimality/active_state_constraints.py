@@ -144,18 +144,14 @@ class StateConstraints:
     def evaluate_time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.memoize(
-            ("derivative", name, row, k), lambda: self._build_constraint_derivative_function(row, k)
-        )
-        return np.asarray(evaluate_casadi_function(function, times, x, u, f.p, f.q)[0])
 
-    def _build_constraint_derivative_function(self, row: int, k: int) -> Any:
-        phase = self.problem.phases[self.samples.leg.name]
-        t, x, u, p = phase.model.symbolic_arguments()
-        expression = self.get_constraint_order(row).derivatives[k]
-        return ca.Function(
-            "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
-        )
+        def build_derivative_function() -> Any:
+            symbols = *self.problem.phases[name].model.symbolic_arguments(), self.problem.parameter_symbols()
+            expression = self.get_constraint_order(row).derivatives[k]
+            return ca.Function("derivative", [*symbols], [ca.densify(expression)])
+
+        function = self.problem.memoize(("derivative", name, row, k), build_derivative_function)
+        return np.asarray(evaluate_casadi_function(function, times, x, u, f.p, f.q)[0])
 
 
 def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -422,7 +418,9 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = PureStateConstraints.from_states(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
-    scale, spare = s.state_scale, _integrate_multiplier_impulses(s)
+    densities = [s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]]
+    beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
+    scale, spare = s.state_scale, np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
@@ -483,10 +481,3 @@ def integrate_multipliers_near_boundaries(s: PhaseSamples, densities: Array) -> 
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)
     return np.asarray(np.where(upper > -lower, upper, lower))
-
-
-def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
-    """Return the integrals by sides of constraints as in `PureStateConstraints`, >= 0 (n_sides, K - 1)."""
-    densities = [s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]]
-    beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
-    return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

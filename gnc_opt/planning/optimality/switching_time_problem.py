@@ -191,13 +191,15 @@ class SwitchUnknowns:
             times = ("initial time", *switches[phase.name].labels, "final time")
             labels += [f"phase {phase.name}, {what}" for what in times]
             labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in starts[phase.name]]
-            start_scale, start_cost_changes = _compute_initial_state_scales(s, starts[phase.name])
+            rows, start_scale = starts[phase.name], compute_state_ranges(s)[starts[phase.name]]
+            still = start_scale > s.state_scale[rows]
+            start_cost_changes = np.where(still, np.abs(s.lam[rows, 0]) * start_scale, 0.0)
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[phase.name].channels]
             cost_changes += list(s.span * np.pad(at_switches, 1, constant_values=s.hamiltonian_scale))
-            cost_changes += list(start_cost_changes)
+            cost_changes += list(np.maximum(s.cost_scale, start_cost_changes))
             free += [not phase.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
             free += [not phase.final_time_bounds.is_fixed[0], *[True] * starts[phase.name].size]
             own[phase.name] = np.arange(begin, len(labels))
@@ -218,13 +220,6 @@ class SwitchUnknowns:
         )
 
 
-def _compute_initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
-    """Return the scales of free initial values, and the cost changes for them."""
-    scale = compute_state_ranges(s)[rows]
-    still = scale > s.state_scale[rows]
-    return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
-
-
 @dataclass(frozen=True)
 class EndConditions:
     """End conditions: ``values`` (k,) of end values, boundary constraints, then others, with their ``limits``.
@@ -236,15 +231,6 @@ class EndConditions:
     limits: Interval
     jacobian: Array
     multipliers: Array
-
-    @classmethod
-    def concatenate_end_conditions(cls, parts: list[EndConditions]) -> EndConditions:
-        return cls(
-            np.concatenate([rows.values for rows in parts]),
-            stack_intervals([rows.limits for rows in parts]),
-            np.vstack([rows.jacobian for rows in parts]),
-            np.concatenate([rows.multipliers for rows in parts]),
-        )
 
     @property
     def active_limits(self) -> tuple[Mask, Mask]:
@@ -397,7 +383,13 @@ def _collect_boundary_conditions(
     at_end.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
     q = solution.parameter_values
     others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
-    return EndConditions.concatenate_end_conditions([*at_end, *others])
+    parts = [*at_end, *others]
+    return EndConditions(
+        np.concatenate([rows.values for rows in parts]),
+        stack_intervals([rows.limits for rows in parts]),
+        np.vstack([rows.jacobian for rows in parts]),
+        np.concatenate([rows.multipliers for rows in parts]),
+    )
 
 
 def build_endpoint_derivative_function(problem: Problem) -> Any:

@@ -24,10 +24,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import (
-    compute_segment_defects,
-    evaluate_function_with_clipped_controls,
-)
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.refinement_history import Actions, RefinementIteration
 from gnc_opt.planning.solution.solution import Solution
@@ -59,14 +56,13 @@ class PhaseError:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
-        f, phase, s = samples.functions, samples.leg, samples
-        at = s.times, s.x, s.u_polynomial
-        integrands = evaluate_function_with_clipped_controls(f.integrands, *at, phase.control_bounds)
+        phase, s = samples.leg, samples
+        integrands = s.evaluate_with_clipped_controls(s.functions.integrands)
         integral_scale = replace_tiny_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
         gaps = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
         box = phase.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
-        paths = evaluate_function_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
+        paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
         largest = np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
         path_scale = replace_tiny_by_one(largest)
         span = phase.duration

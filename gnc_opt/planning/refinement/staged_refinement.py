@@ -47,7 +47,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import Segments, optimise_switching_times
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
-from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution

@@ -29,7 +29,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     optimise_switching_times,
 )
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
-from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     SwitchedFlow,

@@ -196,7 +196,11 @@ class PhaseCostates:
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
         pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
         held = _mask_segments_with_multipliers(collocation, pushed, shared)
-        still, impulses = _mask_constant_state_segments(collocation, x), lam_x[collocation.boundary_states]
+        segments = range(collocation.mesh.segments)
+        spreads = [np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in segments]
+        sizes = np.max(np.abs(x[collocation.point_states]), axis=1)
+        still = np.stack(spreads, axis=1) <= AT_LIMIT * sizes[:, None]
+        impulses = lam_x[collocation.boundary_states]
         found = cls(
             collocation, weights, lam, start, end, densities, impulses, pull, held, still, pushed, bounded
         )
@@ -287,15 +291,6 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
         inside, here = ~shared[:, points], pushed[:, points]
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
-
-
-def _mask_constant_state_segments(collocation: PhaseCollocation, x: Array) -> Mask:
-    """Return the segments with equal state values at all nodes, (n_states, K)."""
-    size = np.max(np.abs(x[collocation.point_states]), axis=1)
-    spreads = [
-        np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in range(collocation.mesh.segments)
-    ]
-    return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 
 
 def _compute_boundary_costates(

@@ -192,7 +192,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Violations:
-    """Local maxima of limit violations in a phase, with states and control polynomials there (n, m)."""
+    """Local maxima of limit violations in a phase, with states and controls there (n, m)."""
 
     limits: Limits
     times: Array
@@ -209,13 +209,11 @@ class Violations:
         return f"{text} (at {'most' if side > 0 else 'least'} {allowed})"
 
 
-def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
-    """Return times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
-    controls = samples.u if applied else samples.u_polynomial
-    signal = samples.leg.applied if applied else samples.leg.u
-    every = limits.compute_limit_excess(samples.times, samples.x, controls)
+def find_limit_violations(samples: PhaseSamples, limits: Limits) -> Violations:
+    """Return times and amounts by which states and applied controls of a phase exceed limits."""
+    every = limits.compute_limit_excess(samples.times, samples.x, samples.u)
     k, j, rise = _find_local_violation_peaks(samples, every)
-    times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], controls[:, j]
+    times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], samples.u[:, j]
     promise = excess + PEAK_RISE_RATIO * rise
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
     hidden = hidden[_select_largest_violation_peaks(k[hidden], promise[hidden])]
@@ -223,11 +221,11 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
         left, right = (samples.times[neighbours] for neighbours in beside)
         chosen = limits.select_limits(k[hidden])
-        peaks, heights = _locate_limit_violation_peaks(samples, chosen, signal, left, right)
+        peaks, heights = _locate_limit_violation_peaks(samples.leg, chosen, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
-        x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
+        x[:, places], u[:, places] = samples.leg.x(times[places]), samples.leg.applied(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
     beyond = beyond[_select_largest_violation_peaks(k[beyond], excess[beyond])]
     return Violations(
@@ -258,15 +256,15 @@ def _find_local_violation_peaks(samples: PhaseSamples, excess: Array) -> tuple[I
 
 
 def _locate_limit_violation_peaks(
-    samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
+    phase: PhaseSolution, limits: Limits, left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
-    phase, columns = samples.leg, np.arange(left.size)
-    times, best = left, np.full(left.size, -np.inf)
+    times, best, columns = left, np.full(left.size, -np.inf), np.arange(left.size)
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = middle + half * _TRIED[:, None]
-        every = limits.compute_limit_excess(tried.ravel(), phase.x(tried.ravel()), signal(tried.ravel()))
+        flat = tried.ravel()
+        every = limits.compute_limit_excess(flat, phase.x(flat), phase.applied(flat))
         excess = every.reshape(left.size, *tried.shape)[columns, :, columns]
         top = np.argmax(excess, axis=1)
         heights, places = excess[columns, top], tried[top, columns]
@@ -274,19 +272,6 @@ def _locate_limit_violation_peaks(
         step = half * (_TRIED[1] - _TRIED[0])
         left, right = np.maximum(left, places - step), np.minimum(right, places + step)
     return times, best
-
-
-def evaluate_function_with_clipped_controls(
-    function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
-) -> Array:
-    """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
-    values = function(times, x, u)
-    lost = np.any(np.isnan(values), axis=0)
-    if np.any(lost):
-        inside = np.clip(u[:, lost], bounds.lower[:, None], bounds.upper[:, None])
-        values = values.copy()
-        values[:, lost] = function(times[lost], x[:, lost], inside)
-    return values
 
 
 @dataclass(frozen=True)
@@ -314,9 +299,7 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    at = s.times_inside_segments, s.x, u
-    rates = evaluate_function_with_clipped_controls(s.functions.state_rates, *at, s.leg.control_bounds)
-    return np.asarray(s.x_rate - rates)
+    return np.asarray(s.x_rate - s.evaluate_with_clipped_controls(s.functions.state_rates, u))
 
 
 def compute_segment_defects(samples: PhaseSamples) -> Array:

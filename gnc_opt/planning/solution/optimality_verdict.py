@@ -201,21 +201,16 @@ class Verdict:
     @property
     def headline(self) -> str:
         """Verdict in one sentence: failed conditions, or whether a minimum is certified; distance from a bound."""
-        gap = self._optimality_gap_text
+        gap = ""
+        if self.bound is not None and self.gap is not None:
+            of_what = "the global optimum" if self.bound.certified else "a local minimum of a relaxation"
+            gap = f"; {'at most ' * self.bound.certified}{abs(self.gap):.1e} from {of_what}"
         if self.minimum:
             return f"every condition passes: a strict local minimum{gap}"
         if self.ok:
             return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{gap}"
         failed = ", ".join(c.name for c in self.failed)
         return self.outcome + f": {failed} {'fails' if len(self.failed) == 1 else 'fail'}" * bool(failed)
-
-    @property
-    def _optimality_gap_text(self) -> str:
-        if self.bound is None or self.gap is None:
-            return ""
-        if self.bound.certified:
-            return f"; at most {abs(self.gap):.1e} from the global optimum"
-        return f"; {abs(self.gap):.1e} from a local minimum of a relaxation"
 
     def __getitem__(self, name: str) -> Condition:
         for condition in self.conditions:

@@ -244,17 +244,24 @@ class PhaseSolution:
         return self.x.sample_times(per_segment)
 
     def _build_control_signal(self, name: str, source: SignalSource) -> Signal:
-        for composed in self.composed_controls:
-            if composed.name == name:
-                variable = composed.variable
-                value = partial(_evaluate_control_composed_of_parts, composed, self.controls, source)
-                return Signal(name, variable.unit, variable.labels, value, slice(None))
+        composed = next((control for control in self.composed_controls if control.name == name), None)
+        value = partial(self._evaluate_control, composed, source)
+        if composed is not None:
+            variable = composed.variable
+            return Signal(name, variable.unit, variable.labels, value, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        wrapped = (
-            source if self.turns is None else partial(_evaluate_wrapped_angle_controls, self.turns, source)
-        )
-        return self._build_state_or_control_signal(name, self.controls, wrapped)
+        return self._build_state_or_control_signal(name, self.controls, value)
+
+    def _evaluate_control(
+        self, composed: ComposedControl | None, source: SignalSource, t: ArrayLike, side: Side
+    ) -> Array:
+        values = source(t, side)
+        if composed is not None:
+            return np.asarray(
+                composed.compose_control(*(values[self.controls.slice(p)] for p in composed.parts))
+            )
+        return values if self.turns is None else self.turns.wrap_angles(values)
 
     def _build_state_or_control_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
         return Signal(name, layout[name].unit, layout[name].labels, source, layout.slice(name))
@@ -328,17 +335,3 @@ def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> 
     own = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
     values = (own(np.clip(places, left, right)), *signal.values[first + 1 :])
     return PiecewisePolynomial(breaks, signal.nodes[first:], values)
-
-
-def _evaluate_control_composed_of_parts(
-    control: ComposedControl, layout: Layout, source: SignalSource, t: ArrayLike, side: Side
-) -> Array:
-    values = source(t, side)
-    parts = (values[layout.slice(part)] for part in control.parts)
-    return np.asarray(control.compose_control(*parts))
-
-
-def _evaluate_wrapped_angle_controls(
-    turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side
-) -> Array:
-    return turns.wrap_angles(source(t, side))

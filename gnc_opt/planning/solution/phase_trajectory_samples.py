@@ -159,6 +159,22 @@ class PhaseSamples:
         """Applied controls, within bounds."""
         return self.sample_signal(self.leg.applied)
 
+    def evaluate_with_clipped_controls(
+        self, function: Callable[[Array, Array, Array], Array], u: Array | None = None
+    ) -> Array:
+        """Return a function (n, n_samples) of times, states and controls, by default the collocation polynomials.
+
+        Where it is not finite, controls are clipped to their bounds.
+        """
+        u, bounds = self.u_polynomial if u is None else u, self.leg.control_bounds
+        values = function(self.times_inside_segments, self.x, u)
+        lost = np.any(np.isnan(values), axis=0)
+        if np.any(lost):
+            inside = np.clip(u[:, lost], bounds.lower[:, None], bounds.upper[:, None])
+            values = values.copy()
+            values[:, lost] = function(self.times_inside_segments[lost], self.x[:, lost], inside)
+        return values
+
     @cached_property
     def inactive_controls(self) -> Mask:
         """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_float_array, read_integer
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ArgumentError, quote_value
-from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_tiny_by_one
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_zeros_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
@@ -195,7 +195,7 @@ def _make_read_only_copy(values: ArrayLike) -> Array:
     return array
 
 
-_SATURATION_SAMPLES = 33
+_SATURATION_TIMES = np.linspace(-1.0, 1.0, 33)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,10 +214,11 @@ class SaturatedControl:
     @cached_property
     def is_piecewise_constant(self) -> Mask:
         """Whether each channel is piecewise constant in each segment, shape (m, K): beyond bounds by `AT_LIMIT`."""
-        values = self.polynomial.evaluate_at_normalised_times(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = AT_LIMIT * _compute_control_bound_widths(self.bounds)
-        over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
-        under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
+        values, bounds = self.polynomial.evaluate_at_normalised_times(_SATURATION_TIMES), self.bounds
+        sizes = np.where(bounds.is_fixed, np.abs(bounds.upper), bounds.interval_width_or_zero)
+        width = replace_zeros_by_one(sizes)
+        over = np.max(values, axis=2) - bounds.upper[:, None] > AT_LIMIT * width[:, None]
+        under = bounds.lower[:, None] - np.min(values, axis=2) > AT_LIMIT * width[:, None]
         return np.asarray(over | under)
 
     @cached_property
@@ -257,10 +258,3 @@ class SaturatedControl:
             nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
             values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
         return values if np.ndim(t) else values[:, 0]
-
-
-def _compute_control_bound_widths(bounds: Interval) -> Array:
-    """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
-    span = bounds.upper - bounds.lower
-    fixed = replace_tiny_by_one(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
-    return np.where(np.isfinite(span) & ~bounds.is_fixed, span, fixed)

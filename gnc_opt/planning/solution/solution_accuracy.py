@@ -35,7 +35,6 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     compute_dynamics_residual,
-    evaluate_function_with_clipped_controls,
     find_worst_defect,
     integrate_states_to_times,
 )
@@ -83,13 +82,11 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
 
 def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
-    phase, at, weights = s.leg, (s.times_inside_segments, s.x, s.u_polynomial), s.functions.weights
+    phase, weights = s.leg, s.functions.weights
     total = -s.integrate_over_segments(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
-        integrands = evaluate_function_with_clipped_controls(
-            s.functions.integrands, *at, phase.control_bounds
-        )
-        total = total + s.integrate_over_segments(weights @ integrands) - weights @ s.quadrature_integrals()
+        integrands = weights @ s.evaluate_with_clipped_controls(s.functions.integrands)
+        total = total + s.integrate_over_segments(integrands) - weights @ s.quadrature_integrals()
     inner = phase.breaks[1:-1]
     jumps = phase.x(inner, "left") - phase.x(inner, "right")
     total[:-1] += np.sum(phase.lam(inner, "left") * jumps, axis=0)
@@ -98,11 +95,9 @@ def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
 
 def _compute_cost_of_constraint_violations(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
-    phase = s.leg
-    of_states = _weight_violations_by_multipliers(s, s.x, phase.state_bounds, s.state_multiplier)
-    at = s.times_inside_segments, s.x, s.u_polynomial
-    paths = evaluate_function_with_clipped_controls(s.functions.path_constraints, *at, phase.control_bounds)
-    return of_states + _weight_violations_by_multipliers(s, paths, phase.path_bounds, s.mu)
+    of_states = _weight_violations_by_multipliers(s, s.x, s.leg.state_bounds, s.state_multiplier)
+    paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
+    return of_states + _weight_violations_by_multipliers(s, paths, s.leg.path_bounds, s.mu)
 
 
 def _weight_violations_by_multipliers(
@@ -223,12 +218,16 @@ def measure_solution_accuracy(
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
-        phase, pieces = s.leg, _sample_between_control_jumps(s)
+        phase, edges = s.leg, s.leg.applied.jump_times
+        pieces = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
+        pieces[:, -1] = edges[1:]  # exact
+        u = phase.applied(pieces.ravel())
+        u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = phase.applied(pieces[:, -1], "left")
         pairs = zip(phase.states.labels, phase.states.units, strict=True)
         labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]
         x = integrate_states_to_times(phase, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_state_error_at_end(s, x[:, -1], labels), key=itemgetter(0))
-        paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
+        paths = s.functions.path_constraints(pieces.ravel(), x, u)
         of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
         worst = max(worst, of_states, of_paths, key=itemgetter(0))
@@ -247,21 +246,6 @@ def _find_largest_state_error_at_end(
         return np.inf, np.inf, f"phase {phase.name}"
     i = int(np.argmax(error / s.state_scale))
     return float(error[i] / s.state_scale[i]), float(error[i]), f"phase {phase.name}, {labels[i]}"
-
-
-def _sample_between_control_jumps(s: PhaseSamples) -> Array:
-    """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
-    edges = s.leg.applied.jump_times
-    times = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
-    times[:, -1] = edges[1:]  # exact
-    return np.asarray(times)
-
-
-def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
-    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the end of a piece with its left limit."""
-    u = s.leg.applied(pieces.ravel())
-    u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
-    return np.asarray(u)
 
 
 def _find_limit_violation(

@@ -164,21 +164,15 @@ def _estimate_controllable_state_changes(
     by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
-    lasts = phase.breaks[-1] - phase.breaks[0]
-    at_once = lasts * by_control @ _compute_mean_control_deviations(phase, used)
+    times = phase.sample_times()
+    lasts, control = phase.breaks[-1] - phase.breaks[0], phase.applied(times)
+    mean = scipy.integrate.trapezoid(control, times, axis=1) / lasts
+    pushes = scipy.integrate.trapezoid(np.abs(control - mean[:, None]), times, axis=1) / lasts
+    at_once = lasts * by_control @ np.where(pushes > NEGLIGIBLE * used, pushes, used)  # mean deviations
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
-
-
-def _compute_mean_control_deviations(phase: PhaseSolution, used: Array) -> Array:
-    """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
-    times = phase.sample_times()
-    lasts, u = times[-1] - times[0], phase.applied(times)
-    mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
-    pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
-    return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
 def take_largest_variable_component(values: Array, layout: Layout) -> Array:

@@ -179,7 +179,7 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
 def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
     limits = Limits.from_interval(s.functions.path_constraints, s.leg.path_bounds)
-    found = find_limit_violations(at, limits, applied=True)
+    found = find_limit_violations(at, limits)
     if not found.times.size:
         return NOTHING
     shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))

@@ -17,7 +17,7 @@ from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.refinement.best_solution_selection import CANDIDATE_ERROR_MARGIN
-from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from problems.classics import double_oscillator, van_der_pol
 

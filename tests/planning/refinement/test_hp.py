@@ -24,7 +24,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import (
     find_largest_collocation_error,
     is_refinement_stagnating,
 )
-from gnc_opt.planning.refinement.mesh.mesh_update import (
+from gnc_opt.planning.refinement.hp_refinement import (
     KINK_ESTIMATE_ORDER,
     Kink,
     _bracket_constraint_activation_time,

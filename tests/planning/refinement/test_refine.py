@@ -183,8 +183,8 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
 @pytest.mark.parametrize(
     ("module", "name", "count"),
     [
-        ("gnc_opt.planning.refinement.mesh.hp_refinement", "solve_problem_on_mesh", 2),
-        ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_segment_errors", 2),
+        ("gnc_opt.planning.refinement.hp_refinement", "solve_problem_on_mesh", 2),
+        ("gnc_opt.planning.refinement.hp_refinement", "estimate_segment_errors", 2),
         ("gnc_opt.planning.refinement.staged_refinement", "detect_arc_structures", 1),
         ("gnc_opt.planning.refinement.best_solution_selection", "verify", 1),
     ],

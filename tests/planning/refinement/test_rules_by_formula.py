@@ -10,11 +10,10 @@ from testing.constructed_solutions import fake, interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.refinement import best_solution_selection
+from gnc_opt.planning.refinement import best_solution_selection, hp_refinement
 from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.collocation_error_estimate import _interpolate_local_maxima
-from gnc_opt.planning.refinement.mesh import mesh_update
 from gnc_opt.planning.solution import solution_accuracy
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
@@ -161,14 +160,14 @@ def test_decay_rates_of_legendre_coefficients() -> None:
 
     def rate(coefficients: Any, nodes: Any = tau) -> float:
         values = np.polynomial.legendre.legval(nodes, coefficients)
-        return mesh_update._fit_decay_rate_of_segment(np.stack([0 * values, values]), nodes)
+        return hp_refinement._fit_decay_rate_of_segment(np.stack([0 * values, values]), nodes)
 
     assert rate(10.0 ** (-0.5 * np.arange(8))) == pytest.approx(0.5, rel=1e-6)
     assert rate(np.append(1e3, 10.0 ** (-0.5 * np.arange(1, 8)))) == pytest.approx(
         0.5, rel=1e-6
     )  # the mean does not count
     assert rate(10.0 ** (-0.5 * np.arange(5)), tau[1:6]) == pytest.approx(0.5, rel=1e-6)
-    assert rate(np.ones(8)) == mesh_update.DECAY_RATE_MIN
-    assert rate(10.0 ** (-3.0 * np.arange(8))) == mesh_update.DECAY_RATE_MAX
-    assert rate([1.0], tau[:2]) == rate([np.nan]) == mesh_update.DECAY_RATE_MIN
+    assert rate(np.ones(8)) == hp_refinement.DECAY_RATE_MIN
+    assert rate(10.0 ** (-3.0 * np.arange(8))) == hp_refinement.DECAY_RATE_MAX
+    assert rate([1.0], tau[:2]) == rate([np.nan]) == hp_refinement.DECAY_RATE_MIN
     assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)

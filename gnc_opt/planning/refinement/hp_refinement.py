@@ -1,25 +1,193 @@
-"""Next mesh of a phase: increase of degrees and subdivision of segments.
+"""hp refinement: iteration of solve, error estimate and mesh improvement until the error is within the tolerance.
 
-Smooth segments get the degree predicted by the decay of their Legendre coefficients. Other segments are split at their
-kinks, or halved. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for the
-detection of discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and Methods 36 (2015), for the
-preference of degrees to segments.
+Every solve starts from states, controls and multipliers of the previous one. Error estimate:
+`gnc_opt.planning.refinement.collocation_error_estimate`. Smooth segments get the degree predicted by the decay of their
+Legendre coefficients. Other segments are split at their kinks, or halved. See Liu, Hager & Rao, Journal of the Franklin
+Institute 352 (2015), for the detection of discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and
+Methods 36 (2015), for the preference of degrees to segments.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array, find_sign_changes
 from gnc_opt.numerical_tolerances import INNER_TOLERANCE_SHARE, NEGLIGIBLE, NOTABLE, ROUNDING, SAME_TIME, TINY
+from gnc_opt.planning.direct.computation_budget import WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.nlp.nlp_solver_options import WARM_MU, compute_final_barrier_parameter
 from gnc_opt.planning.problem.bounds import stack_intervals
-from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
-from gnc_opt.planning.solution.refinement_history import Actions
+from gnc_opt.planning.refinement.collocation_error_estimate import (
+    PhaseError,
+    estimate_segment_errors,
+    is_refinement_stagnating,
+    print_iterations,
+    record_iteration,
+)
+from gnc_opt.planning.solution.refinement_history import (
+    Actions,
+    History,
+    RefinementIteration,
+    RefinementStatus,
+)
+from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
+
+STAGE_ERROR_SHARE = 1e-4
+"""Target error of each pass, relative to the error of the previous one."""
+
+NEAR_TOLERANCE_RATIO = 30.0
+"""Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
+
+
+@dataclass(frozen=True, eq=False)
+class _MeshSolution:
+    solution: Solution
+    errors: dict[str, PhaseError]
+    record: RefinementIteration
+
+    @classmethod
+    def from_solution(cls, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
+        errors = estimate_segment_errors(solution)
+        return cls(solution, errors, record_iteration(solution, begin, actions, errors))
+
+    @property
+    def segment_errors(self) -> Array:
+        """Largest error of each segment of all phases."""
+        return np.concatenate([e.largest_segment_errors for e in self.errors.values()])
+
+    @property
+    def largest_finite_error(self) -> float:
+        """Largest error of the segments in which all functions are defined."""
+        worst = self.segment_errors
+        return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
+
+
+def refine_mesh(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    budget: WorkBudget | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution on a mesh on which every segment's error is at most ``tol``, and the history of the passes.
+
+    If the tolerance is not reached, the solution has the smallest error of the objective; ``status`` and ``message`` of
+    the history describe the result. Without a budget, work and time are unlimited.
+    """
+    begin = time.perf_counter()
+    refinement = _Refinement(tol, budget or WorkBudget(), options)
+    refinement.found.append(_MeshSolution.from_solution(solution, begin, Actions()))
+    with print_iterations(solution.problem_name, tol, progress) as show:
+        try:
+            status = refinement.refine_mesh_until_converged(show)
+        except KeyboardInterrupt:
+            status = RefinementStatus.INTERRUPTED
+    chosen = min(range(len(refinement.found)), key=refinement.rank_mesh_solution)
+    best = refinement.found[chosen].record
+    status = RefinementStatus.CONVERGED if best.solved and best.error <= tol else status
+    message = f"{status.value}: error {best.error:.1e} (tolerance {tol:.1e})"
+    message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
+    records, seconds = tuple(each.record for each in refinement.found), time.perf_counter() - begin
+    return refinement.found[chosen].solution, History(status, tol, records, chosen, message, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refinement:
+    tol: float
+    budget: WorkBudget
+    options: SolverOptions | None
+    found: list[_MeshSolution] = field(default_factory=list)
+
+    def rank_mesh_solution(self, k: int) -> tuple[bool, float]:
+        """Return the key by which a solution within the tolerance, or with a small error of the objective, is first."""
+        solution, record = self.found[k].solution, self.found[k].record
+        error = solution.objective_error.absolute_error if record.solved else np.inf
+        return not record.solved or record.error > self.tol, error
+
+    def refine_mesh_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
+        show(self.found[-1].record)
+        for _ in range(self.budget.max_passes):
+            if time.perf_counter() > self.budget.deadline:
+                return RefinementStatus.INTERRUPTED
+            plan = self._plan_next_meshes()
+            if isinstance(plan, RefinementStatus):
+                return plan
+            if self.budget.remaining_work <= 0:
+                return RefinementStatus.BUDGET_LIMIT
+            status = self._solve_on_refined_meshes(*plan)
+            show(self.found[-1].record)
+            if status is Status.ITERATION_LIMIT and self.budget.remaining_work <= 0:
+                return RefinementStatus.BUDGET_LIMIT
+            if not status.solved:
+                interrupted = status is Status.INTERRUPTED
+                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+        return RefinementStatus.ITERATION_LIMIT
+
+    def _plan_next_meshes(self) -> tuple[dict[str, Mesh], Actions] | RefinementStatus:
+        """Return the next meshes and the changes, or the final status.
+
+        The target error decreases in stages, since small features of a trajectory that still changes are irrelevant. If
+        the points do not suffice for a stage, they are assigned to the segments with the largest errors.
+        """
+        last = self.found[-1]
+        if last.record.solved and last.record.error <= self.tol:
+            return RefinementStatus.CONVERGED
+        stage = max(self.tol, STAGE_ERROR_SHARE * min(last.largest_finite_error, 1.0))
+        stage = stage if stage > NEAR_TOLERANCE_RATIO * self.tol else self.tol
+        limited = False
+        while True:
+            found = {name: build_next_mesh(error, stage) for name, error in last.errors.items()}
+            meshes = {name: mesh for name, (mesh, _) in found.items()}
+            if max(mesh.size for mesh in meshes.values()) <= self.budget.max_points:
+                break
+            limited, stage = True, 10.0 * stage
+            if stage > 0.5 * last.record.error:
+                return RefinementStatus.POINT_LIMIT
+        errors = [each.record.error for each in self.found]
+        totals = [float(np.sum(np.minimum(each.segment_errors, 1e6))) for each in self.found]
+        is_slow = all(is_refinement_stagnating(values, self.tol) for values in (errors, totals))
+        if is_slow or meshes == last.record.meshes:
+            return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
+        return meshes, sum((actions for _, actions in found.values()), Actions())
+
+    def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+        """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
+        begin, last = time.perf_counter(), self.found[-1].solution
+        solution = solve_problem_on_mesh(
+            last.need_problem("refine"),
+            meshes,
+            scheme=last.scheme,
+            guess=last,
+            options=self._choose_warm_start_options(),
+            budget=self.budget.allot_work_budget_share(warm_iterations=WARM_MAX_ITERATIONS),
+        )
+        self.found.append(_MeshSolution.from_solution(solution, begin, actions))
+        return solution.status
+
+    def _choose_warm_start_options(self) -> SolverOptions:
+        """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
+        options, left = self.options, min(self.found[-1].largest_finite_error, 1.0)
+        if options is None:
+            least = min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * self.tol)
+            options = SolverOptions(tolerance=max(least, INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * left))
+        if options.mu_init is None:
+            # A larger barrier parameter moves a nearly optimal point off its bounds and costs iterations.
+            last = compute_final_barrier_parameter(options.tolerance)
+            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_MU * left, last))
+        return options
+
+
+# --- next mesh of a phase ----------------------------------------------------------------------------------
+
 
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""

@@ -1,1 +1,0 @@
-"""hp mesh refinement."""
