@@ -243,7 +243,10 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
 
     def formula(found: re.Match[str]) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
-        drawn = convert_latex_to_mathml(latex, "inline" if found[1] == "span" else "block")
+        if found[1] == "div":
+            parts = "".join(convert_latex_to_mathml(part, "block") for part in separate_formulas(latex))
+            return f'<div class="formulas">{parts}</div>{found[3]}'
+        drawn = convert_latex_to_mathml(latex, "inline")
         return f'<span class="unbroken">{drawn}{found[3]}</span>' if found[3] else drawn
 
     def undescribed(found: re.Match[str]) -> str:
@@ -279,6 +282,19 @@ def on_post_page(output: str, **more: Any) -> str:
         return _NUMBER_OR_OPTION.sub(r'<span class="unbroken">\g<0></span>', text)
 
     return _ARTICLE.sub(lambda found: _MARKUP_OR_TEXT.sub(unbroken, found[0]), _CELL.sub(cell, output))
+
+
+def separate_formulas(latex: str) -> list[str]:
+    """Return the formulas that stand side by side in a display, which phones show below each other."""
+    parts = [""]
+    for piece in re.split(r"(\\q?quad(?![A-Za-z]))", latex):
+        whole = parts[-1]
+        outside = whole.count("{") == whole.count("}") and r"\begin" not in whole and r"\left" not in whole
+        if outside and re.fullmatch(r"\\q?quad", piece):
+            parts.append("")
+        else:
+            parts[-1] += piece
+    return [part for part in parts if part.strip()]
 
 
 def _width_pt(path: Path) -> float:

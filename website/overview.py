@@ -110,7 +110,7 @@ def _draw_controls(figure: Any, solution: go.Solution) -> None:
             ax.set_yticks([-1, 0, 1])
             ax.set_ylabel(f"${label}$")
     for ax in axes[-1]:
-        ax.set_xlabel("t, s")
+        ax.set_xlabel("time (s)")
     axes[0, 0].set_title("torque / 50 N m")
     axes[0, 1].set_title("force / 320 N")
     handles = [axes[0, 0].lines[0], axes[0, 0].lines[1]]

@@ -176,7 +176,7 @@ def _format_solve_and_verdict_headline(solution: Solution, verdict: Verdict | No
     if verdict is not None:
         tone = "good" if verdict.minimum else "bad" if verdict.failed else "open"
         proven = (
-            "strict local minimum" if verdict.minimum else "necessary conditions hold, minimum not proven"
+            "strict local optimum" if verdict.minimum else "necessary conditions hold, optimum not proven"
         )
         word = proven if verdict.ok else verdict.outcome
         chips += format_status_as_html(f"optimality check: {word}", tone)
@@ -371,7 +371,7 @@ def _format_optimality_conditions_table(verdict: Verdict | None) -> str:
         (c.name, c.result.value.lower(), *map(format_violation, (c.value, c.tolerance)), c.location_text)
         for c in verdict.conditions
     ]
-    titles = ("condition", "result", "violation", "tolerance", "largest at")
+    titles = ("condition", "result", "violation", "tolerance", "location")
     meanings = "".join(
         f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>" for c in verdict.conditions
     )

@@ -187,6 +187,7 @@ def test_formulas_become_mathml() -> None:
     assert shown.startswith("<math") and "arithmatex" not in shown and "<mi>ab</mi>" in shown
     assert re.search(r"<mi>sin</mi><mspace [^>]*><mi>y</mi>", shown)
     assert '<mo form="prefix">&#x02212;</mo><mi>a</mi><mrow><mo stretchy="true"' in shown
+    assert hooks.separate_formulas(r"x = {a \quad b}, \qquad y = 1") == [r"x = {a \quad b}, ", " y = 1"]
 
 
 def test_long_signatures_and_defaults_made_by_functions_are_left_out() -> None:

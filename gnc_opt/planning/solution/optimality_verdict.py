@@ -206,7 +206,7 @@ class Verdict:
             of_what = "the global optimum" if self.bound.certified else "a local minimum of a relaxation"
             gap = f"; {'at most ' * self.bound.certified}{abs(self.gap):.1e} from {of_what}"
         if self.minimum:
-            return f"every condition passes: a strict local minimum{gap}"
+            return f"every condition passes: a strict local optimum{gap}"
         if self.ok:
             return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{gap}"
         failed = ", ".join(c.name for c in self.failed)
@@ -266,7 +266,7 @@ class Verdict:
             (c.name, c.result.value, format_violation(c.value), f"{c.tolerance:.0e}", c.location_text)
             for c in self.conditions
         ]
-        titles = ("condition", "result", "violation", "tolerance", "largest at")
+        titles = ("condition", "result", "violation", "tolerance", "location")
         heading = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}")
         shown = heading + format_html_table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
@@ -294,7 +294,7 @@ def format_violation(value: float) -> str:
 
 
 def _format_condition_table(title: str, rows: list[tuple[str, Condition, str]]) -> list[str]:
-    cells = [(title, "result", "violation", "largest at")]
+    cells = [(title, "result", "violation", "location")]
     cells += [(name, c.result.value, format_violation(c.value), place) for name, c, place in rows]
     width, wide = (max(len(row[i]) for row in cells) for i in (0, 2))
     return [

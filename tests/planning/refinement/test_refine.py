@@ -84,7 +84,7 @@ def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
     assert history.tolerance == 1e-7 and history.final_iteration.error <= 1e-7
     assert refined.objective == pytest.approx(3.0, abs=1e-9)
     text = str(refined)
-    assert "refined (converged)" in text and "tolerance 1e-07" in text and "strict local minimum" in text
+    assert "refined (converged)" in text and "tolerance 1e-07" in text and "strict local optimum" in text
     assert f"{history.final_iteration.error:.1e}" in text and len(text.splitlines()) == 7
 
 

@@ -35,7 +35,7 @@ def test_without_costates_neither_holds() -> None:
 
 
 def test_headlines_say_which_of_the_three_it_is() -> None:
-    assert verdict(PASS, PASS).headline == "every condition passes: a strict local minimum"
+    assert verdict(PASS, PASS).headline == "every condition passes: a strict local optimum"
     found = verdict(PASS, UNTOLD).headline
     assert found == "ok: the necessary conditions hold, the sufficient ones are not confirmed"
     assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
