@@ -227,6 +227,12 @@ def test_attributes_without_a_description_are_left_out() -> None:
     assert not hooks.on_page_content(f"{title} <ul> {item('name', '')} </ul>").strip()
 
 
+def test_code_of_a_page_fits_its_column() -> None:
+    """A window of 1280 pixels shows 120 columns in the smaller letters of long lines."""
+    lines = [(page.name, line) for page in PAGES for block in page.blocks for line in block.code.splitlines()]
+    assert len(lines) > 1000 and not [(name, line) for name, line in lines if len(line) > 120]
+
+
 def test_nothing_is_loaded_from_elsewhere() -> None:
     """The theme's fonts and the script of the offline search would come from other servers."""
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")

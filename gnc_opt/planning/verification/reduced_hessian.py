@@ -192,9 +192,8 @@ def _explain_inconclusive_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
         return f"{_describe_cost_decrease(curvature)}, which is within rounding"
     return (
-        ": the curvature of the second variation cannot be distinguished from zero (least eigenvalue between "
-        f"-{steep:.0e} and {NEGLIGIBLE:.0e}); no direction that lowers the cost was found: refine the mesh or "
-        "prescribe the arcs"
+        f": curvature cannot be distinguished from zero (least eigenvalue -{steep:.0e} to {NEGLIGIBLE:.0e}); "
+        "no direction that lowers the cost was found: refine the mesh or prescribe the arcs"
     )
 
 
