@@ -174,10 +174,14 @@ def _table(names: Iterable[Entry]) -> Iterator[str]:
 
 
 def _first_line(entry: Entry) -> str:
-    """Return what the docstring of a class or function begins with, for the cell of a table."""
-    value = getattr(import_module(entry.module), entry.name, None)
-    described = inspect.isclass(value) or inspect.isfunction(value)
-    text = (inspect.getdoc(value) or "") if described else ""
+    """Return what the docstring begins with, of a constant the one below it, for the cell of a table."""
+    module = import_module(entry.module)
+    value = getattr(module, entry.name, None)
+    if inspect.isclass(value) or inspect.isfunction(value):
+        text = inspect.getdoc(value) or ""
+    else:
+        found = re.search(rf'(?m)^{entry.name}\b.*\n"""(.*?)(?:"""|$)', inspect.getsource(module))
+        text = found[1] if found else ""
     return dollars(text.partition("\n")[0]).replace("|", "&#124;")
 
 

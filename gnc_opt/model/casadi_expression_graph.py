@@ -85,7 +85,7 @@ def smooth_abs(x: Any, width: float) -> Any:
     ----------
     x : casadi.SX or float
     width : float
-        > 0, in the unit of x.
+        In the unit of x, > 0.
 
     Raises
     ------

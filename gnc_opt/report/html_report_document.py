@@ -99,7 +99,7 @@ def embed_svg_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     for box, body in views.items():
         window = " ".join(f"{number:g}" for number in box)
         body = re.sub(r'(?s)<style.*?</style>|(?<=<g) id="[^"]*"', "", body)
-        side = "right" if box[0] > 0.0 else "full" * (box[2] > width / 2)
+        side = "right" if box[0] > 0.0 else "full" * (kind == "halves" and box[2] > width / 2)
         panels.append(f'<div class="{side}"><svg viewBox="{window}" {label}>{body}</svg></div>')
         label = 'aria-hidden="true"'
     caption = f"<figcaption>{escape(caption)}</figcaption></figure>"

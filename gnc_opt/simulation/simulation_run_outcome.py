@@ -79,16 +79,24 @@ class OutcomeClassifier:
 class RunStatus(StatusWord):
     """Status of a run; each run has exactly one, the most severe.
 
-    Members
-    -------
-    OK : all signals finite, no alarm, integration within the required accuracy.
-    INTEGRATION_ERROR : the error estimate of the integration exceeds the required accuracy.
-    CONTROLLER_ALARM : the controller could not meet its guarantees.
-    DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
-    NOT_FINITE : a signal, state or quantity is not finite, or an event is NaN.
-    TERMINATED_BY_EVENT : a failure event ended the run, events accumulated (Zeno), or a reset left its event at zero.
-    INVALID_PARAMETERS : a parameter is outside its permitted range; the run was not simulated.
-    LOST : its process died, or the run raised an exception.
+    Attributes
+    ----------
+    OK
+        All signals finite, no alarm, integration within the required accuracy.
+    INTEGRATION_ERROR
+        The error estimate of the integration exceeds the required accuracy.
+    CONTROLLER_ALARM
+        The controller could not meet its guarantees.
+    DIVERGED
+        A state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
+    NOT_FINITE
+        A signal, state or quantity is not finite, or an event is NaN.
+    TERMINATED_BY_EVENT
+        A failure event ended the run, events accumulated (Zeno), or a reset left its event at zero.
+    INVALID_PARAMETERS
+        A parameter is outside its permitted range; the run was not simulated.
+    LOST
+        Its process died, or the run raised an exception.
     """
 
     OK = "ok"

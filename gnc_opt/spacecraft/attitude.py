@@ -86,7 +86,7 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
     Parameters
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
-    omega_BL_B : like ``sigma_BL``
+    omega_BL_B : like sigma_BL
         Angular rate of B relative to L in B components, rad/s.
 
     Examples

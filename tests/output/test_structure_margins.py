@@ -102,6 +102,8 @@ def test_rows_of_one_axes_have_the_full_width(tmp_path, counts, kinds):
     assert boxes["full"][2] == 2 * boxes[""][2] and boxes[""][1::2] == boxes["right"][1::2]
     assert sum(box[3] for box in (boxes["full"], boxes[""])) < 72 * figure.get_figheight() + 18
     assert all(ax.xaxis.get_tick_params()["labelbottom"] for ax in axes)
+    single = save_figure(create_figure_with_axes_rows([1], 1.8)[0], tmp_path / "single.svg")
+    assert '<div class=""><svg' in embed_svg_figure({"single": single}, "single", "Text.")
 
 
 def test_command_of_a_report_is_that_of_the_program(monkeypatch):
