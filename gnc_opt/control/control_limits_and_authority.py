@@ -98,7 +98,7 @@ def report_control_authority(
         )
     shares = 2 * left.min(axis=1) / (limits[1] - limits[0])
     used = "feedforward" if gain is None else "feedforward and gain"
-    remark = f"remaining share of half the range after {used}; least of '{label}' {where}"
+    remark = f"remaining share of half the range after {used}; smallest for '{label}' {where}"
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 

@@ -135,7 +135,7 @@ def _report_sliding_surface(
     if not isinstance(switching.boundary, Sign):
         real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
         steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
-        remark = "of the outputs, from the band of s"
+        remark = "in the units of the outputs, from the band of s"
         facts += [ReportEntry("steady error bound", np.array(steady), remark=remark)] if real else []
     return facts
 
@@ -178,7 +178,7 @@ class SwitchingControl:
 
     def report_sliding_bands(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
-        remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
+        remark = "largest |s| in continuous control with a disturbance at its bound, in the units of s"
         facts = [ReportEntry("band of s", self.sliding_bands, remark=remark)]
         slope = self.reaching.max_slope(self.boundary)
         if np.isfinite(slope):

@@ -31,7 +31,12 @@ from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
 )
 from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.measurement_model import FilterOptions, Measurement, read_filter_options
-from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
+from gnc_opt.model.model_variables import (
+    Layout,
+    format_names_with_units,
+    read_state_vector,
+    read_vector,
+)
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -212,9 +217,9 @@ class FilterDesign:
     def _build_filter_design_report(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
-            ReportEntry("estimated", ", ".join(labels)),
+            ReportEntry("estimated", format_names_with_units(self.augmented.errors.variables)),
             ReportEntry("initial standard deviation", self.sigma0),
-            ReportEntry("process noise", self.noise, "", "unit/s^0.5"),
+            ReportEntry("process noise", self.noise, "", "in the units of the states per s^0.5"),
         ]
         for channel in self.augmented.channels:
             m = channel.measurement
@@ -241,7 +246,7 @@ class FilterDesign:
             {label for mode in find_uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
             key=labels.index,
         )
-        facts = [ReportEntry("unobservable states", ", ".join(unseen) or "nothing", remark=where)]
+        facts = [ReportEntry("unobservable states", ", ".join(unseen) or "none", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:

@@ -376,31 +376,23 @@ class _NeighbouringGuidance:
 
     def build_guidance_design_report(self) -> list[ReportEntry]:
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
-        how = "with the reserve" if ending.reserve else "without a reserve"
+        margin = f"with a control margin of {100 * ending.reserve:g} %"
+        free = "of the scaled final time, end conditions satisfied"
+        fixed = "the end conditions determine the switching times"
         return [
-            ReportEntry("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
+            ReportEntry("final time", best.tau[-1], "s", f"{margin}; {plan.times[-1]:.6g} s as planned"),
             ReportEntry(
                 "switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"
             ),
-            ReportEntry(
-                "least curvature", best.curvature, "", "of the scaled flight time, end conditions satisfied"
-            ),
-            ReportEntry(
-                "last part",
-                ending.length,
-                "s",
-                f"a reserve of {100 * ending.reserve:g} % for '{self.regulator.name}'",
-            ),
-            ReportEntry(
-                "steps per arc",
-                str(self.prediction.steps),
-                "",
-                "of the prediction on board, Runge-Kutta of order 4",
-            ),
+            ReportEntry("smallest curvature", best.curvature, "", free)
+            if np.isfinite(best.curvature)
+            else ReportEntry("smallest curvature", "none", "", fixed),
+            ReportEntry("final part", ending.length, "s", f"'{self.regulator.name}' follows the plan"),
+            ReportEntry("steps per arc", str(self.prediction.steps), "", "Runge-Kutta prediction of order 4"),
             ReportEntry(
                 "operations",
                 str(self.switching_time_correction_function.n_instructions()),
                 "",
-                "of a correction",
+                "of one correction",
             ),
         ]

@@ -191,12 +191,12 @@ def test_authority_that_remains_along_a_reference() -> None:
     limits = np.array([-1.0, 0.0]), np.array([4.0, 2.0])
     (entry,) = report_control_authority(reference, limits)
     np.testing.assert_allclose(entry.value, [2 * 1 / 5, 1.0])
-    assert "least of 'a' at t = 0 s" in entry.remark and "after feedforward;" in entry.remark
+    assert "smallest for 'a' at t = 0 s" in entry.remark and "after feedforward;" in entry.remark
     (entry,) = report_control_authority(
         reference, limits, gain=lambda t: np.stack([0 * t, 0.5 + 0 * t]), dt=2.5
     )
     np.testing.assert_allclose(entry.value, [-2 * 0.5 / 5, 0.5])
-    assert "least of 'a' at t = 2 s" in entry.remark and "feedforward and gain;" in entry.remark
+    assert "smallest for 'a' at t = 2 s" in entry.remark and "feedforward and gain;" in entry.remark
     assert report_control_authority(reference, None) == []
     with pytest.raises(
         DesignError,

@@ -279,7 +279,7 @@ def test_an_end_that_the_reserve_does_not_reach_is_refused(place, possible):
     (1 - 0.45^2) / 2 + 0.45 * 0.5 / 2 = 0.51125 m. Nearer than that no switch time leads to the end."""
     plan = go.solve(problem(start=(place, -1.0)), tol=1e-8)
     if possible:
-        assert guidance(plan, reserve=0.1).explain()["end"] > plan.objective
+        assert guidance(plan, reserve=0.1).explain()["final time"] > plan.objective
     else:
         with pytest.raises(DesignError, match="no minimum-time switching times were found"):
             guidance(plan, reserve=0.1)
