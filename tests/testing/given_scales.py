@@ -25,7 +25,9 @@ def given_scales(
         widths = np.full((m, s.times.size), deviation)
         phases[s.leg.name] = PhaseScales(widths, ball, ball, ball, np.full(m, cost))
     ends: Any = None
-    rows = tuple(np.asarray(row, dtype=float) for row in constraints)
-    return Scales(
-        phases, cost, cost, np.asarray(parameters, dtype=float), ends, {}, {}, (rows[0], rows[1], rows[2])
+    states = 2 * sum(s.x.shape[0] for s in samples)
+    reach, bends, terms = (
+        np.append(row, np.full(states, v)) for row, v in zip(constraints, (radius, 0.0, 0.0), strict=True)
     )
+    boundary = {1.0: (np.diag(reach**2), bends, terms)}
+    return Scales(phases, cost, cost, np.asarray(parameters, dtype=float), ends, {}, {}, boundary)

@@ -53,7 +53,6 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     compute_phase_reachable_sets,
     differentiate_final_state_by_controls,
     differentiate_linked_initial_states,
-    evaluate_boundary_jacobians,
     sample_trajectory_at_cell_centres,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
@@ -110,9 +109,8 @@ class Scales:
 
     ``cost`` is the positive cost scale; ``change_of_cost`` includes changes that cancel to first order. ``parameters``
     are deviations of the free parameters. ``links`` are derivatives of the start of a phase in ends of earlier ones, by
-    both names; under "" the projection onto its free directions. ``constraints`` are first and second differences of
-    the boundary constraints over the reach of the ends, and their terms; ``near_constraints`` shares of the reach with
-    the differences over them, for constraints of higher order.
+    both names; under "" the projection onto its free directions. ``boundary`` are the Gramian of boundary constraints
+    and end states over each share of the reach, second differences, and terms (`EndPoints.compute_boundary_gramian`).
     """
 
     phases: Mapping[str, PhaseScales]
@@ -122,8 +120,7 @@ class Scales:
     ends: EndPoints
     reach: Mapping[str, Reach]
     links: Mapping[str, Mapping[str, Array]]
-    constraints: tuple[Array, Array, Array]
-    near_constraints: tuple[tuple[float, Array, Array], ...] = ()
+    boundary: Mapping[float, tuple[Array, Array, Array]]
 
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
@@ -184,12 +181,10 @@ class Scales:
             reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        constraints = ends.compute_boundary_constraint_differences(reach, parameters)
-        near = tuple(
-            (step, *ends.compute_boundary_constraint_differences(reach, parameters, step)[:2])
-            for step in NEARER_SHARES
-        )
-        return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
+        boundary = {
+            step: ends.compute_boundary_gramian(reach, parameters, step) for step in (1.0, *NEARER_SHARES)
+        }
+        return cls(phases, cost, changed, parameters, ends, reach, links, boundary)
 
     def estimate_control_change_by_costate_gap(self, s: PhaseSamples, gap: Array) -> float:
         """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
@@ -218,9 +213,9 @@ def sample_control_deviations(s: PhaseSamples, scales: Scales, times: Array) -> 
 
 def solve_quadratic_step_to_limit(excess: Array, first: Array, second: Array) -> Array:
     """Return the root of a quadratic polynomial with these differences: the share of a step that removes an excess."""
-    root = np.sqrt(first**2 + 2.0 * second * excess)
     share = np.where(excess > 0, np.inf, 0.0)
     with np.errstate(invalid="ignore"):
+        root = np.sqrt(first**2 + 2.0 * second * excess)
         return np.asarray(np.divide(2.0 * excess, first + root, out=share, where=root > 0))
 
 
@@ -405,10 +400,13 @@ class EndPoints:
         change = self._constraint_and_cost_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
-    def compute_boundary_constraint_differences(
+    def compute_boundary_gramian(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
-        """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
+        """Return the Gramian of constraints and end states over a share of the reach, second differences, and terms.
+
+        Rows are the constraints, and the initial and final states of each phase. Fixed initial states are independent.
+        """
         moves = [
             self._list_end_displacements_along_axes(reach),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
@@ -416,14 +414,19 @@ class EndPoints:
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        found = self._compute_endpoint_finite_differences(share * np.hstack(moves))
-        jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
-        terms = np.abs(self.gradients.constraints)
-        for k, name in enumerate(self.solution.phases):
-            for by_state, place in zip(jacobians[name], (6 * k, 6 * k + 1), strict=True):
-                terms = terms + np.abs(by_state) @ np.abs(self.values[place])
-        first, second = (np.sqrt(np.sum(v[:-1] ** 2, axis=1)) for v in found)
-        return first, second, terms
+        steps, places = share * np.hstack(moves), np.cumsum([v.size for v in self.values])[:-1]
+        first, second = (v[:-1] for v in self._compute_endpoint_finite_differences(steps))
+        states = [at for at in range(len(self.values) - 1) if at % 6 < 2]
+        rows = np.vstack([first, *(np.split(steps, places)[at] for at in states)])
+        sizes = np.abs(np.concatenate([self.values[at] for at in states]))
+        changes = np.diag(SECOND_DIFFERENCE_STEP_SHARE * np.concatenate(self.values))
+        parts = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
+        terms = np.sum(parts, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
+        terms = np.append(np.fmax(np.abs(self.gradients.constraints), terms), sizes)
+        starts = [s.leg.initial_bounds.is_fixed * reach[s.leg.name][0].radius for s in self.samples]
+        fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
+        bends = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
+        return rows @ rows.T + np.diag((share * fixed) ** 2), bends, terms
 
     @property
     def _constraint_and_cost_weights(self) -> Array:
@@ -474,15 +477,8 @@ class EndPoints:
                 if not box.is_fixed[0]:
                     moves.append(self._expand_endpoint_displacements({place: np.array([[s.span]])}))
         first, second = self._compute_endpoint_finite_differences(step * np.hstack(moves))
-        return (
-            np.stack(
-                [
-                    self._constraint_and_cost_weights @ first,
-                    0.5 * (self._constraint_and_cost_weights @ second),
-                ]
-            )
-            / step
-        )
+        weights = self._constraint_and_cost_weights
+        return np.stack([weights @ first, 0.5 * (weights @ second)]) / step
 
     def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""

@@ -251,7 +251,8 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
     box = solution.need_problem("verify").get_boundary_constraint_bounds()
-    reach = scales.constraints[0] + 0.5 * scales.constraints[1]
+    gramian, bends, _ = scales.boundary[1.0]
+    reach = (np.sqrt(np.diag(gramian)) + 0.5 * bends)[: nu.size]
     violation = (
         _compute_complementarity_products(nu[:, None], values[:, None], box, reach[:, None])[:, 0]
         / scales.cost

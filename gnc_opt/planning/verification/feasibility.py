@@ -106,13 +106,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     i = int(np.argmax(np.abs(total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
     what = phase.states.labels[i]
     if held[k]:
-        jumping = [
-            name
-            for name, jumps in zip(
-                phase.controls.labels, phase.applied.is_piecewise_constant[:, k], strict=True
-            )
-            if jumps
-        ]
+        jumping = np.array(phase.controls.labels)[phase.applied.is_piecewise_constant[:, k]]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.integrate_over_segments(np.sum(s.lam * residual, axis=0))
@@ -248,29 +242,20 @@ def check_boundary_conditions(
     """Return the condition that initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
-        phase, name, own = s.leg, s.leg.name, scales.phases[s.leg.name]
-        for end, values, interval, ellipsoid in (
-            ("start", phase.x(phase.breaks[0]), phase.initial_bounds, own.start),
-            ("end", phase.x(phase.breaks[-1], "left"), phase.final_bounds, own.end),
-        ):
-            labels = [f"phase {name}, {end}, {label}" for label in phase.states.labels]
-            worst = worst.select_larger(
-                _find_largest_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
-            )
-        times = np.array([phase.initial_time, phase.final_time, phase.duration])
-        bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
-        lasts = np.full(3, s.span if s.has_duration else 1.0)
-        labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_larger(
-            _find_bound_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
-        )
+        phase, lasts = s.leg, np.full(5, s.span if s.has_duration else 1.0)
+        times = np.array([phase.initial_time, phase.final_time])
         # Times in the cost and the constraints must equal the start and end of the trajectory.
-        slack = 10 * SHORTEST + ROUNDING * max(abs(phase.initial_time), abs(phase.final_time))
-        gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)
-        labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
-        nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_larger(_find_bound_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.select_larger(_find_boundary_violation(solution, ends, scales))
+        slack = 10 * SHORTEST + ROUNDING * np.max(np.abs(times))
+        gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times) - slack, 0.0)
+        bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
+        box = stack_intervals([*bounds, Interval(np.zeros(2), np.zeros(2))])
+        of = "initial time", "final time", "duration", "start of the trajectory", "end of the trajectory"
+        labels = [f"phase {phase.name}, {what}" for what in of]
+        values = np.concatenate([times, [phase.duration], gaps])
+        worst = worst.select_larger(_find_bound_violation(values, box, lasts, labels, ("s",) * 5))
+    worst = worst.select_larger(
+        _find_boundary_violation(*_list_boundary_values(solution, samples, ends), scales)
+    )
     return check_value_within_tolerance(
         "boundary conditions",
         worst,
@@ -286,37 +271,46 @@ def _cap_scale_by_interval_width(scale: Array, box: Interval) -> Array:
     return np.fmin(scale.T, most).T
 
 
-def _find_largest_boundary_error(
-    values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
+def _list_boundary_values(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients
+) -> tuple[list[str], Array, Array, Interval]:
+    """Return labels, values, multipliers and limits of boundary constraints, then of start and end of each phase."""
+    labels = [f"constraint {label} off by {{:.3g}}" for label in solution.constraint_labels]
+    values, multipliers = [ends.constraints], [solution.constraint_multipliers]
+    boxes = [solution.need_problem("verify").get_boundary_constraint_bounds()]
+    for s in samples:
+        phase, name = s.leg, s.leg.name
+        values += [phase.x(phase.breaks[0]), phase.x(phase.breaks[-1], "left")]
+        gaps = s.lam[:, 0] + ends.initial_state[name], s.lam[:, -1] - ends.final_state[name]
+        multipliers += [s.has_duration * gap for gap in gaps]
+        boxes += [phase.initial_bounds, phase.final_bounds]
+        for end in ("start", "end"):
+            for state, unit in zip(phase.states.labels, phase.states.units, strict=True):
+                labels.append(f"phase {name}, {end}, {state} off by {{:.3g}} {unit}".rstrip())
+    return labels, np.concatenate(values), np.concatenate(multipliers), stack_intervals(boxes)
+
+
+def _find_boundary_violation(
+    labels: list[str], values: Array, multipliers: Array, box: Interval, scales: Scales
 ) -> Worst:
+    """Return the distance of end states and boundary constraints to their limits, or its effect on the cost."""
+    gramian, _, terms = scales.boundary[1.0]
     miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
-    miss = np.where(np.isnan(values), np.inf, miss)
-    if not np.any(miss):
+    excess = np.where(np.isnan(values), np.inf, np.maximum(np.abs(miss) - ROUNDING * terms, 0.0))
+    if not np.any(excess):
         return NOTHING
-    if not np.all(np.isfinite(miss)):
-        return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
-    miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
-    radius = _cap_scale_by_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
-    single = np.abs(miss) / np.where(radius > 0, radius, TINY)
-    share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
-    i = int(np.argmax(single))
-    unit = f" {units[i]}" if units[i] else ""
-    return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
-
-
-def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
-    """Return the violation as the largest distance to a feasible point, from differences over shares of the reach."""
-    values, box = ends.constraints, solution.need_problem("verify").get_boundary_constraint_bounds()
-    excess = np.where(np.isnan(values), np.inf, box.compute_bound_violation(values))
-    first, second, floor = scales.constraints
-    excess = np.maximum(excess - ROUNDING * floor, 0.0)
-    share = solve_quadratic_step_to_limit(excess, first, second)
-    for step, *near in scales.near_constraints:
-        share = np.fmax(share, step * np.fmin(1.0, solve_quadratic_step_to_limit(excess, *near)))
-    price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
-    share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
-    labels = solution.constraint_labels
-    return Worst.find_largest_value(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
+    share = np.where(np.isfinite(excess), 0.0, np.inf)
+    for step, (near, bends, _) in scales.boundary.items():
+        reach = _cap_scale_by_interval_width(np.sqrt(np.diag(near)), box)
+        found = solve_quadratic_step_to_limit(excess, reach, bends)
+        share = np.fmax(share, found if step == 1.0 else step * np.fmin(1.0, found))
+    price = np.abs(np.nan_to_num(multipliers)) * np.nan_to_num(excess) / scales.cost
+    used, together = box.is_fixed | (excess > 0), np.inf
+    if np.all(np.isfinite(share)):
+        ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(used, used)], np.ones(int(np.sum(used))))
+        together = float(ellipsoid.normalise_displacement(np.copysign(share, miss)[used]))
+    i = int(np.argmax(np.fmax(share, price)))
+    return Worst(max(together, float(price[i])), labels[i].format(excess[i]))
 
 
 def check_reported_cost(

@@ -197,8 +197,8 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        reach, box = self.scales.constraints[0], problem.get_boundary_constraint_bounds()
-        misses = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach, changes)])
+        box, reach = problem.get_boundary_constraint_bounds(), np.sqrt(np.diag(self.scales.boundary[1.0][0]))
+        misses = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach[: nu.size], changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
     def _sum_variations_of_quantity(self, kind: str, phase: str, amounts: Array, size: int) -> Array:

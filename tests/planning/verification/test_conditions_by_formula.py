@@ -133,29 +133,29 @@ def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> No
     assert (worst.value, worst.where) == (pytest.approx(7 / 5), "phase leg, a, effect on the cost")
 
 
-def test_boundary_constraints_by_slope_curvature_and_price() -> None:
+def test_boundary_values_by_slope_curvature_and_price() -> None:
     """a e + b e^2 / 2 = excess: 3 at a = 2, b = 2 gives e = 1; without reach it is infinite; or by its price."""
 
     def violation(
         values: Any, price: float = 0.0, first: Any = (2.0, 4.0), second: Any = (2.0, 0.0)
     ) -> Worst:
-        problem = fake(get_boundary_constraint_bounds=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
-        solution = fake(
-            need_problem=lambda _: problem,
-            constraint_labels=("p", "q"),
-            constraint_multipliers=np.array([-price, 0.0]),
+        box, prices = interval([-1.0, 0.0], [1.0, 0.0]), np.array([-price, 0.0])
+        boundary = {1.0: (np.diag(first) ** 2, np.array(second), np.array([0.0, 1e12]))}
+        own = fake(cost=5.0, boundary=boundary)
+        return feasibility._find_boundary_violation(
+            ["p {:.3g}", "q {:.3g}"], np.array(values), prices, box, own
         )
-        rows = tuple(map(np.asarray, (first, second, (0.0, 1e12))))
-        own = fake(cost=5.0, constraints=rows, near_constraints=())
-        return feasibility._find_boundary_violation(solution, fake(constraints=np.asarray(values)), own)
 
     assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))
-    assert violation([-4.0, 0.5]).where == "constraint p off by 3"
-    assert (violation([1.0, -3.0]).value, violation([1.0, -3.0]).where) == (0.5, "constraint q off by 2")
+    assert violation([-4.0, 0.5]).where == "p 3"
+    assert (violation([1.0, -3.0]).value, violation([1.0, -3.0]).where) == (0.5, "q 2")
     assert violation([4.0, 0.0], price=20.0).value == pytest.approx(20 * 3 / 5)
     assert violation([4.0, 0.0], first=(0.0, 4.0), second=(0.0, 0.0)).value == np.inf
     assert violation([np.nan, 0.0]).value == np.inf
-    assert violation([1.0, 1.0]).value == 0.0
+    assert violation([1.0, 0.9]).value == 0.0  # rounding of terms of 1e12
+    assert violation([4.0, -4.0], first=(2.0, 6.0), second=(0.0, 0.0)).value == pytest.approx(
+        np.hypot(1.5, 0.5)
+    )
 
 
 def test_distance_beyond_a_table_is_in_shares_of_its_axis() -> None:
@@ -193,7 +193,7 @@ def test_multipliers_of_inactive_boundary_constraints() -> None:
         constraint_labels=("p", "q"),
         constraint_multipliers=np.array([2.0, -1.5]),
     )
-    own = fake(cost=5.0, constraints=(np.array([1.0, 1.0]), np.array([2.0, 2.0]), None))
+    own = fake(cost=5.0, boundary={1.0: (np.eye(2), np.array([2.0, 2.0]), None)})
     ends = fake(constraints=np.array([8.0, 0.0]))
     worst = costates._check_boundary_multipliers(solution, ends, own)
     assert (worst.value, worst.where) == (pytest.approx(1.5 * 2 / 5), "multiplier of constraint q")
@@ -528,17 +528,6 @@ def test_initial_states_that_equations_determine() -> None:
         ([[1.0, 0.0], [1.0, 0.0]], False),
     ):
         assert sufficient._has_full_column_rank(np.array(matrix)) is full
-
-
-def test_the_worst_boundary_value_is_that_of_the_largest_share() -> None:
-    """3 beyond the limit over 6, 2 below it over 0.5, or over a millionth of a value without radius."""
-    arguments = interval([0.0, 1.0], [0.0, 2.0]), round_ellipsoid(6.0, 0.5), ["a", "b"], ["m", ""]
-    worst = feasibility._find_largest_boundary_error(np.array([3.0, -1.0]), *arguments)
-    assert (worst.value, worst.where) == (pytest.approx(np.hypot(0.5, 4)), "b off by 2")
-    worst = feasibility._find_largest_boundary_error(
-        np.array([3.0, -1.0]), arguments[0], round_ellipsoid(0.0, 0.5), *arguments[2:]
-    )
-    assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "a off by 3 m")
 
 
 def reported_cost(objective: float, **own: Any) -> Worst:

@@ -19,7 +19,6 @@ import gnc_opt as go
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zeros_by_one
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
-from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
     compute_integral_scales,
@@ -251,27 +250,6 @@ def test_misses_are_reported_in_their_units() -> None:
     assert find(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
     zero = Interval(np.ones(1), np.ones(1))
     assert find(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
-
-
-@pytest.mark.parametrize(
-    ("values", "share", "where"),
-    [
-        ((1e6, 3.0), 0.0, "no violation"),
-        ((1e6 + 1e-7, 3.0), 0.0, "a off by 0 m"),  # rounding of the value
-        ((1e6 + 2e-6, 3.0), 1e-6 / 2.0, "a off by 1e-06 m"),
-        ((1e6, 2.6), 0.8, "b off by 0.4"),
-        ((1e6, 3.6), 1.2, "b off by 0.6"),
-        ((1e6, np.nan), np.inf, "b is not finite"),
-    ],
-)
-def test_an_end_value_is_off_in_shares_of_its_reach(
-    values: tuple[float, float], share: float, where: str
-) -> None:
-    """a = 1e6 m with the reach 2 m, b = 3 with the reach 0.5."""
-    box = Interval(np.array([1e6, 3.0]), np.array([1e6, 3.0]))
-    reach = Ellipsoid(np.array([2.0, 0.5]), np.eye(2), np.ones(2))
-    found = feasibility._find_largest_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
-    assert found.where == where and found.value == pytest.approx(share, rel=1e-3)
 
 
 @pytest.mark.parametrize(

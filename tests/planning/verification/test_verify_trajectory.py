@@ -421,6 +421,30 @@ def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word:
     assert (word == "inconclusive") == any("samples are too coarse" in c.where for c in verdict.conditions)
 
 
+@pytest.mark.parametrize("miss", [(1e-4, 0.0), (1e-4, -2e-4)])
+def test_a_missed_end_counts_the_same_as_final_value_and_as_constraint(miss: tuple[float, float]) -> None:
+    t = np.linspace(0.0, 1.0, 41)
+    q, v = 1.0 + miss[0], miss[1]
+    x = {"q": (3 * q - v) * t**2 + (v - 2 * q) * t**3, "v": 2 * (3 * q - v) * t + 3 * (v - 2 * q) * t**2}
+    found = []
+    for constrained in ((), ("q",), ("q", "v")):
+        problem, leg = one_phase("least energy", double_integrator(), 0.0, 1.0)
+        leg.initial(q=0.0, v=0.0)
+        for name, value in (("q", 1.0), ("v", 0.0)):
+            if name in constrained:
+                problem.constrain(name, leg.final_state(name), equals=value)
+            else:
+                leg.final(**{name: value})
+        problem.minimize(leg.integral(leg.model.symbol("a") ** 2))
+        verdict = go.verify_trajectory(problem, t, x, {"a": 2 * (3 * q - v) + 6 * (v - 2 * q) * t})
+        condition = verdict["boundary conditions"]
+        place = condition.where.replace("constraint ", "").replace("phase leg, end, ", "")
+        found.append((condition.value, condition.result.value, place.partition(" m")[0]))
+    assert found[0][1] == "FAIL"
+    assert {row[1:] for row in found} == {found[0][1:]}
+    np.testing.assert_allclose([row[0] for row in found], found[0][0], rtol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("periods", "passes"), [(1, False), (10, True)])
 def test_fast_deviations_of_a_control_displace_nothing(periods: int, passes: bool) -> None:
