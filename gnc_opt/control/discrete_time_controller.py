@@ -50,7 +50,7 @@ class Controller:
     start : casadi.Function
         ``(t, x, r) -> z``: initial memory, from the first measurement.
     states, commands, signals, memory : Layout
-    schedule : `Schedule`
+    schedule : Schedule
         See `Schedule`.
     explanation : DesignReport
     dt : float or None

@@ -64,7 +64,7 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
     ----------
     r : casadi (3, 1), array (3,) or (3, n_times)
     mu, j2, radius : float or casadi scalar
-        m^3/s^2, 1 and m (equatorial).
+        Gravitational parameter (m^3/s^2), second zonal harmonic, equatorial radius (m).
 
     Examples
     --------

@@ -129,7 +129,7 @@ def relative_acceleration(
     rho_R, rho_rate_R : casadi (3, 1), array (3,) or (3, n_times)
         Position (m) relative to the leader and its rate of change seen in R (m/s).
     leader_radius, n, mu : float or casadi scalar
-        m, rad/s, m^3/s^2.
+        Radius of the leader (m), mean motion (rad/s), gravitational parameter (m^3/s^2).
 
     Examples
     --------
@@ -167,7 +167,7 @@ def differential_j2(
     dcm_RI : casadi (3, 3), array (3, 3) or (3, 3, n_times)
         Maps inertial components (z along the planet's axis) to R.
     mu, j2, radius : float or casadi scalar
-        m^3/s^2, 1 and m (equatorial).
+        Gravitational parameter (m^3/s^2), second zonal harmonic, equatorial radius (m).
 
     Examples
     --------
