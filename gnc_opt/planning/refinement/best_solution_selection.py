@@ -99,10 +99,8 @@ class Candidate:
     @property
     def is_nearly_optimal(self) -> bool:
         """Return whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
-        if self.verdict_if_checked is None:
-            return False
-        necessary = [c for c in self.verdict_if_checked.open_conditions if not c.sufficient]
-        return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
+        left = () if self.verdict_if_checked is None else self.verdict_if_checked.open_conditions
+        return bool(left) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in left)
 
     def is_objective_error_small(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
@@ -223,8 +221,6 @@ def _choose_refinement_status(
         return ended or best.history.status
     if best.largest_local_error <= tol:
         return RefinementStatus.CONVERGED if verdict.ok else RefinementStatus.CONDITIONS_FAIL
-    if verdict.ok and best.solution.structure and best.history.converged:
-        return RefinementStatus.STALLED
     if ended is not None:
         return ended
     if best.history.status is RefinementStatus.BUDGET_LIMIT:  # no mesh improved in the whole sequence

@@ -231,7 +231,7 @@ def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
 def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
     """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added`` points.
 
-    New segments with a kink have at most degree 3, adjacent ones 3 to 6, and halves at most `HALF_MAX_DEGREE`.
+    New segments with a kink have degree 3, adjacent ones at most 6, and halves at most `HALF_MAX_DEGREE`.
     """
     phase, worst = error.samples.leg, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
@@ -240,7 +240,7 @@ def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> lis
     if len(cuts) > 2:
         middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts)]
         kinked = [any(kink.start <= t <= kink.end for kink in kinks) for t in middles]
-        own = [min(degree, 3) if inside else max(min(degree, 6), 3) for inside in kinked]
+        own = [3 if inside else min(degree, 6) for inside in kinked]
         return list(zip(cuts[1:], own, strict=True))
     wanted = degree + added
     if degree < SMOOTHNESS_MIN_DEGREE and worst < NOTABLE:

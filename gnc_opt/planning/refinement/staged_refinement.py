@@ -39,11 +39,7 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    mask_affine_controls,
-    mask_convex_controls,
-    mask_nonconvex_controls,
-)
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import mask_affine_controls
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import Segments, optimise_switching_times
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
@@ -195,7 +191,8 @@ class StagedRefinement:
             yield from self._refine_mesh_by_hp(self.first, 1.0)
         else:
             found = detect_arc_structures(self.first)
-            if not _may_have_switches_or_kinks(self.first, found, at_least=0):
+            is_linear = any(np.any(mask_affine_controls(s)) for s in self.first.samples().values())
+            if not (is_linear or _has_arcs(found)):
                 raise ProblemError(
                     f"no control of '{self.first.problem_name}' enters the Hamiltonian linearly between two finite "
                     'bounds: use structure="none".'
@@ -251,13 +248,12 @@ class StagedRefinement:
             again = self._solve_from_minimum_hamiltonian(fine, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
-                fine = again if again.has_lower_cost_on_same_mesh(fine) else fine
             yield from self._solve_with_detected_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
     def _refine_first_mesh(self, first: Candidate) -> Iterator[Candidate]:
         found = detect_arc_structures(first.solution)
-        arcs = _may_have_switches_or_kinks(first.solution, found, at_least=1)
+        arcs = _has_arcs(found)
         if arcs:
             yield from self._solve_with_detected_arcs(
                 first.solution, f"{first.stage}, switching times", found
@@ -391,7 +387,7 @@ class StagedRefinement:
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
         found = found or detect_arc_structures(start)
-        if not self._should_solve_with_detected_arcs(start, found) and share < 1.0:
+        if not self._should_solve_with_detected_arcs(found) and share < 1.0:
             return
         solution, history = optimise_switching_times(
             start,
@@ -405,9 +401,9 @@ class StagedRefinement:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _should_solve_with_detected_arcs(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    def _should_solve_with_detected_arcs(self, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
-        if not _may_have_switches_or_kinks(start, found, at_least=1):
+        if not _has_arcs(found):
             return False
         if any(s.n_subarcs > PROGRAM_MAX_SUBARCS for s in found.values()):
             return False
@@ -416,23 +412,14 @@ class StagedRefinement:
         order = {name: s.with_switch_times(()) for name, s in found.items()}
         for known, solved in self._tried:
             known_order = {name: s.with_switch_times(()) for name, s in known.items()}
-            if found == known or (solved and order == known_order):
+            if solved and order == known_order:
                 return False
         return True
 
 
-def _may_have_switches_or_kinks(
-    solution: Solution, found: Mapping[str, PhaseStructure], at_least: int
-) -> bool:
-    """Return whether a control may have switches or kinks in a phase with more subarcs than ``at_least`` or touches."""
-    for name, samples in solution.samples().items():
-        subarcs, touches = found[name].n_subarcs, found[name].touches
-        # Regular controls need no arcs while they stay between their bounds.
-        curved = mask_nonconvex_controls(samples) | mask_convex_controls(samples)
-        arcs = subarcs > at_least and np.any(mask_affine_controls(samples)), subarcs > 1 and np.any(curved)
-        if any(touches[0] + touches[-1]) or any(arcs):
-            return True
-    return False
+def _has_arcs(found: Mapping[str, PhaseStructure]) -> bool:
+    """Return whether a phase has several subarcs, or limits that are touched at its ends."""
+    return any(s.n_subarcs > 1 or any(s.touches[0] + s.touches[-1]) for s in found.values())
 
 
 def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:

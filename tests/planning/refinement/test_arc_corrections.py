@@ -203,19 +203,6 @@ def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:
     assert free.kinds[-1] == (LOW, FREE, *(FREE,) * 7)
 
 
-@pytest.mark.parametrize(("kind", "upward"), [(LOW, True), (UP, False)])
-def test_a_constraint_that_is_left_sends_its_control_to_the_other_side(kind: ArcKind, upward: bool) -> None:
-    """-3 w at its lower limit holds w up; left, w goes down, to its bound of -1; and the other way, to -3 w = -3."""
-    pieces = [list(piece) for piece in STRUCTURE.kinds]
-    for piece in pieces:
-        piece[1], piece[2 + 3] = SING, kind
-    structure = PhaseStructure(STRUCTURE.times, tuple(tuple(p) for p in pieces), (), 2, 6)
-    found = LIMITS.insert_control_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
-    here = found.kinds[1]
-    assert found.times == (0.0, 0.5, 1.5, 2.0, 4.0)
-    assert (here[1], here[2 + 3]) == ((LOW, FREE) if upward else (SING, LOW))
-
-
 # Vector controls bounded in norm that hold state constraints: arcs along which the whole vector is
 # singular.
 

@@ -133,7 +133,6 @@ def test_status_at_the_end_of_a_refinement() -> None:
             largest_local_error=error,
             is_objective_error_small=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
-            solution=fake(structure=given.get("structure", ())),
         )
         verdict = None if ok is None else fake(ok=ok)
         return best_solution_selection._choose_refinement_status(
@@ -145,9 +144,8 @@ def test_status_at_the_end_of_a_refinement() -> None:
     assert choose(0.5) is status.UNCHECKED and choose(2.0, within=True) is status.UNCHECKED
     assert choose(2.0) is status.CONVERGED and choose(2.0, None, budget) is budget
     assert choose(1.0, True) is status.CONVERGED and choose(1.0, False) is status.CONDITIONS_FAIL
-    assert choose(2.0, True, budget, structure=(1,)) is status.STALLED
-    assert choose(2.0, True, budget) is budget and choose(2.0, False, budget, structure=(1,)) is budget
-    assert choose(2.0, True, None, points, structure=(1,)) is points
+    assert choose(2.0, True, budget) is budget and choose(2.0, False, budget) is budget
+    assert choose(2.0, True, None, points) is points
     assert choose(2.0, False) is status.STALLED and choose(2.0, False, None, points) is points
     assert choose(2.0, False, None, budget) is status.STALLED
     assert choose(2.0, False, None, budget, found={status.FAILED, points}) is points

@@ -164,9 +164,8 @@ class ArcMesh:
         )
 
     def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of another structure with initial resolutions; `loose` is kept if touches are the same."""
-        same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
+        """Return the plan of another structure with initial resolutions."""
+        return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose)
 
     def extend_mesh_by_one_arc(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc, which hardly changes other subarcs."""

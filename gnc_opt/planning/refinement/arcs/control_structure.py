@@ -154,8 +154,7 @@ class PhaseStructure:
             return False
         bound = self.kinds[sum(sides) - singular[0]]
         kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
-        holders = [own for own in (self.boundary_arc_controls[i] for i in kept) if row in own]
-        return any(not bound[other].is_at_limit for own in holders for other in own)
+        return any(not bound[other].is_at_limit for i in kept for other in self.boundary_arc_controls[i])
 
     def find_control_limit_change(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
@@ -181,7 +180,7 @@ class PhaseStructure:
         active = [[kinds[i].is_at_limit for i in (state, limit)] for kinds in (pair[first], pair[1 - first])]
         owner = (limit,) if limit < self.n_controls else self.boundary_arc_controls[limit]
         boundary_arc_controls = self.boundary_arc_controls[state]
-        if active != [[True, False], [False, True]] or self.orders[limit] or len(owner) != 1:
+        if active != [[True, False], [False, True]] or len(owner) != 1:
             return []
         others = [i for i in boundary_arc_controls if i not in owner]
         if owner[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):

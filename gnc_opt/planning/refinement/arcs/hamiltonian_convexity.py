@@ -184,21 +184,12 @@ class LinearPathLimits:
     ) -> PhaseStructure:
         """Return the structure with another kind of a row over an interval (s), and of the associated one.
 
-        The new kind is required at a sample; INTERIOR if it becomes inactive: its control goes to the other limit.
+        The new kind is required at a sample.
         """
-        first = structure.n_controls
-        holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
-        if holder is not None:
-            inner = np.asarray(structure.times[1:-1])
-            subarc = int(np.searchsorted(inner, 0.5 * (interval[0] + interval[1])))
-            left = structure.kinds[subarc][row]
-            upward = (left is ArcKind.UPPER) == bool(self.slopes[row - first, sample] > 0)
-            structure = structure.with_inserted_arc(row, *interval, ArcKind.INTERIOR)
-            row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
         if row not in self.rows or not kind.is_at_limit:
             return structure.with_inserted_arc(row, *interval, kind)
         own, held = self.label_control_arcs(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
         for path, kinds in held.items():
             if kinds[sample].is_at_limit:
-                structure = structure.with_inserted_arc(first + path, *interval, kinds[sample])
+                structure = structure.with_inserted_arc(structure.n_controls + path, *interval, kinds[sample])
         return structure.with_inserted_arc(row, *interval, own[sample])

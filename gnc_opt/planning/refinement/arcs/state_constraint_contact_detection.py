@@ -247,7 +247,7 @@ def add_constraint_contacts(
     for row, on in enumerate(held):
         order = constraints.get_order_of_constraint_contact(row)
         orders.append(0 if on else order)
-        if order == 1 or (order and not on):
+        if order:
             effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
     structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
     for run in _find_new_constraint_contact_nodes(constraints, structure) if any(orders) else ():
@@ -304,11 +304,6 @@ def replace_saturated_arc_controls(
         state, row = taken
         after = structure.kinds[boundary][state].is_at_limit
         subarc, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
-        if (
-            len(structure.boundary_arc_controls[state]) < 2
-            or structure.kinds[subarc][row] is not ArcKind.SINGULAR
-        ):
-            continue
         towards = np.flatnonzero(subarcs == subarc)[:: -1 if after else 1]
         limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
