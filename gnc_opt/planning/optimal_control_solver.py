@@ -247,15 +247,10 @@ def solve(
     hint = "write solve(problem), or solve(solution.problem)"
     require_type(problem, Problem, "the argument of solve()", hint)
     get_point_family(scheme)
+    moved = ""
     if guess is not None:
         require_type(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         problem, moved = clip_initial_states_to_bounds(problem)
-        if moved:
-            found = solve(
-                problem, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
-                options=options, limits=limits, progress=progress, throw=throw,
-            )  # fmt: skip
-            return _record_solution_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     require_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -272,31 +267,26 @@ def solve(
     if options.max_wall_time is not None:
         wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
         limits = replace(limits, max_wall_time=wall)
-    budget = WorkBudget.start_work_budget(limits)
-    if guess is not None and as_usual and scheme == guess.scheme:
-        nearby = _warm_start_modified_problem(problem, guess, tol, in_a_loop)
-        if nearby is not None:
-            return nearby
-        if in_a_loop and _is_refined_solution(guess) and _has_same_compiled_functions(problem, guess):
-            tol = get_solution_tolerance(guess)
-        if tol is not None and _is_refined_solution(guess):
+    budget, found = WorkBudget.start_work_budget(limits), None
+    is_refined = guess is not None and (guess.history is not None or bool(guess.structure))
+    if guess is not None and is_refined and as_usual and scheme == guess.scheme:
+        known = guess.problem
+        if known is not None and known.builds is problem.builds and guess.status.solved:
+            if in_a_loop:
+                tol = DEFAULT_TOLERANCE if guess.history is None else guess.history.tolerance
+            found = None if tol is None else _warm_start_modified_problem(problem, guess, tol, in_a_loop)
+        if found is None and tol is not None:
             found = _restart_refinement(problem, guess, limits, tol=tol, check=check, progress=progress)
-            return _raise_if_unsolved(found, throw)
-    within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
-    solution = solve_problem_on_mesh(
-        problem, mesh, scheme=scheme, guess=guess, options=options, budget=within, progress=progress
-    )
-    if guess is not None:
-        solution = record_solve_method(solution, SolveMethod.WARM)
-    _raise_if_unsolved(solution, throw)
-    if tol is None or not solution.status.solved:
-        return solution
-
-    final = StagedRefinement(solution, tol, budget, check, None, progress).run_stages(structure)
-    return final if guess is None else record_solve_method(final, SolveMethod.WARM)
-
-
-def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
+    if found is None:
+        within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
+        found = solve_problem_on_mesh(
+            problem, mesh, scheme=scheme, guess=guess, options=options, budget=within, progress=progress
+        )
+        if tol is not None and found.status.solved:
+            found = StagedRefinement(found, tol, budget, check, None, progress).run_stages(structure)
+        found = found if guess is None else record_solve_method(found, SolveMethod.WARM)
+    if moved:
+        found = _record_solution_provenance(found, MOVED_START, moved)
     if throw and not (found.status.solved or found.status is Status.INTERRUPTED):
         raise SolveError(format_solve_failure_message(found), found)
     return found
@@ -312,36 +302,22 @@ def _record_solution_provenance(solution: Solution, key: str, text: str) -> Solu
 
 
 def _warm_start_modified_problem(
-    problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
+    problem: Problem, known: Solution, tol: float, in_a_loop: bool
 ) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
-    if not _has_same_compiled_functions(problem, known):
-        return None
     if in_a_loop:
         known_switches = KnownSwitches.from_solution(known)
         found = None if known_switches is None else known_switches.solve_with_known_switches(problem)
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
-        tol = get_solution_tolerance(known)
-    if tol is None or not _is_refined_solution(known):
-        return None
     check = not in_a_loop or not (known.history is None or _has_solution_converged(known))
     found = KnownArcs.from_solution(known).solve_with_known_arcs(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
-def _is_refined_solution(known: Solution) -> bool:
-    return known.history is not None or bool(known.structure)
-
-
 def _has_solution_converged(found: Solution) -> bool:
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return found.history is not None and found.history.status in reached_by
-
-
-def _has_same_compiled_functions(problem: Problem, known: Solution) -> bool:
-    """Return whether a solution belongs to a problem that differs only in numbers."""
-    return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
 def _restart_refinement(
@@ -359,7 +335,3 @@ def _restart_refinement(
     cold = record_solve_method(cold, SolveMethod.COLD)
     found = [Candidate(s, s.history, "") for s in (cold, warm) if s.history is not None]
     return found[select_best_candidate(found, settings["tol"])].solution if found else cold
-
-
-def get_solution_tolerance(known: Solution) -> float:
-    return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
