@@ -138,7 +138,7 @@ class ScaledNlp:
         iterate = replace(iterate, x=np.where(box.is_fixed, box.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = build_phase_solutions(transcription, problem, iterate)
-        places = transcription.parameter_places
+        places, parts = transcription.parameter_places, transcription.parts
         return Solution(
             problem_name=problem.name,
             status=result.status,
@@ -162,22 +162,15 @@ class ScaledNlp:
                 result.linear_solver_time,
                 self.reused,
             ),
-            provenance=_record_solver_versions_and_options(problem, transcription, self.options),
+            provenance={
+                **list_software_versions(),
+                "scheme": transcription.scheme,
+                "mesh": ", ".join(f"{name} {part.collocation.mesh}" for name, part in parts.items()),
+                "options": repr(self.options),
+                "fingerprint": problem.fingerprint(),
+            },
             problem=problem.frozen(),
         )
-
-
-def _record_solver_versions_and_options(
-    problem: Problem, transcription: Transcription, options: SolverOptions
-) -> dict[str, str]:
-    meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())
-    return {
-        **list_software_versions(),
-        "scheme": transcription.scheme,
-        "mesh": meshes,
-        "options": repr(options),
-        "fingerprint": problem.fingerprint(),
-    }
 
 
 NULL_SPACE_MIN_SHARE = 0.5

@@ -86,11 +86,8 @@ class StateConstraints:
 
     def get_order_of_constraint_contact(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
-        if not self.constraint_row_bounds.lower[row] < self.constraint_row_bounds.upper[row]:
-            return 0
-        if not np.isfinite(
-            [self.constraint_row_bounds.lower[row], self.constraint_row_bounds.upper[row]]
-        ).any():
+        box = self.constraint_row_bounds
+        if not box.lower[row] < box.upper[row] or not self.list_finite_limits(row):
             return 0
         order = self.get_constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0

@@ -145,10 +145,8 @@ def integrate_bang_bang_flow(
     initial[n_clock, pieces.unknowns[0]] = 1.0
     initial[free_start, n_times + np.arange(free_start.size)] = 1.0
     initial[n_clock + 1 :, n_times + free_start.size :] = np.eye(q.size)
-    states, controls = (
-        iterate_discrete_time_map(rates.step, start, inputs),
-        inputs[1 : 1 + phase.controls.size],
-    )
+    states = iterate_discrete_time_map(rates.step, start, inputs)
+    controls = inputs[1 : 1 + phase.controls.size]
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
@@ -177,9 +175,8 @@ class _StepFunctions:
 
     def __init__(self, s: PhaseSamples) -> None:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
-        n, m, n_integrals, n_q = (
-            s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
-        )  # fmt: skip
+        n, m, n_integrals = s.leg.states.size, s.leg.controls.size, s.leg.integrals.size
+        n_q = s.functions.q.size
         state = ca.SX.sym("state", n + n_integrals + 1 + n_q)
         inputs = ca.SX.sym("inputs", 1 + m + s.functions.p.size)
         weights = ca.SX.sym("weights", state.shape[0])

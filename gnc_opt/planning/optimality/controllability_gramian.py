@@ -64,7 +64,10 @@ class Ellipsoid:
 
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
-        parts = np.tensordot(self.axes.T, _divide_by_possibly_zero_scale(moved, self.radius), 1)
+        column = np.broadcast_to(_reshape_scale_for_time_series(self.radius, moved), np.shape(moved))
+        nothing = np.where(np.asarray(moved) == 0, 0.0, np.inf)  # 0/0 is 0
+        shares = np.divide(moved, column, out=nothing, where=column > 0)
+        parts = np.tensordot(self.axes.T, shares, 1)
         return np.asarray(np.linalg.norm(parts / _reshape_scale_for_time_series(self.shares, parts), axis=0))
 
     def support_function(self, gradient: Array) -> Array:
@@ -292,10 +295,3 @@ def _build_boundary_jacobian(problem: Problem) -> Any:
 
 def _reshape_scale_for_time_series(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
-
-
-def _divide_by_possibly_zero_scale(values: Array, scale: Array) -> Array:
-    """Return values (n, ...) divided by a scale (n,); 0/0 is 0, anything else over zero is infinite."""
-    column = np.broadcast_to(_reshape_scale_for_time_series(scale, values), np.shape(values))
-    nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
-    return np.divide(values, column, out=nothing, where=column > 0)

@@ -98,7 +98,10 @@ def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPha
     jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not here) for i, here in pairs]
     unmarked = _find_control_jumps_between_samples(samples, twice)
     jumps += unmarked
-    jumps += _find_control_slope_jumps(samples, jumps)
+    for c, values in enumerate(samples.u):
+        edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
+        for first, last in itertools.pairwise(edges):
+            jumps += _find_control_kinks(samples.t[first:last], values[first:last], first, c)
     jumps.sort(key=lambda jump: jump.after)
     controls = _ControlFit(samples, jumps)
     controls.choose_control_interpolation(samples, rates)
@@ -128,15 +131,6 @@ def _find_control_jumps_between_samples(samples: SampledPhase, twice: Indices) -
     if t.size <= 3:  # too few samples
         alone[:] = False
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
-
-
-def _find_control_slope_jumps(samples: SampledPhase, jumps: list[_Jump]) -> list[_Jump]:
-    found = []
-    for c in range(samples.u.shape[0]):
-        edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
-        for first, last in itertools.pairwise(edges):
-            found += _find_control_kinks(samples.t[first:last], samples.u[c, first:last], first, c)
-    return found
 
 
 def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:

@@ -518,6 +518,11 @@ class Phase(StrictAttributes):
         if on_sphere is not None:
             self._told_on_sphere[vector.name] = on_sphere
 
+    def describe_reformulation(self, *texts: str) -> None:
+        """Add descriptions of a reformulation that keeps the controls."""
+        same = ControlMap.create_identity_map(self.model, texts)
+        self.restatement = same.compose_control_maps(self.restatement)
+
     def _constrain_direction_to_unit_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"

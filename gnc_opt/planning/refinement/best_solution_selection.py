@@ -66,8 +66,6 @@ class Candidate:
     @property
     def objective_error(self) -> float:
         """Estimated error of the objective, in its unit; infinite without a solution."""
-        if not self.is_solved:
-            return math.inf
         found = self.solution.objective_error
         return found.absolute_error + self.largest_local_error**2 * found.scale
 

@@ -39,7 +39,7 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.solution.phase_solution import truncate_phase_to_start_time
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
@@ -165,12 +165,26 @@ class KnownArcs:
         begin = time.perf_counter()
         start = truncate_solution_to_start_time(self.solution, problem)
         start = replace(start, problem=problem.frozen(), structure=())
+        most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
+        budget = WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
         if self.structures:
-            found: tuple[Solution, History] | None = self._solve_with_known_arcs(start, tol)
+            phases, known = start.phases, self.structures.items()
+            found = optimise_switching_times(
+                start,
+                tol=tol,
+                budget=budget,
+                structures={name: s.truncate_arcs_before(phases[name].initial_time) for name, s in known},
+                options=KNOWN_ARCS_OPTIONS,
+                segments="nearby",
+            )
         else:
-            found = self._solve_on_known_mesh(start, problem, tol)
-        if found is None:
-            return None
+            warm = budget.allot_work_budget_share(warm_iterations=WARM_MAX_ITERATIONS)
+            first = solve_problem_on_mesh(problem, scheme=start.scheme, guess=start, budget=warm)
+            if first.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            if not first.status.solved:
+                return None
+            found = refine_mesh(first, tol=tol, budget=budget)
         candidate = Candidate(*found, "nearby")
         if candidate.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
@@ -179,39 +193,11 @@ class KnownArcs:
             return None
         return build_solution_of_best_candidate([candidate], None, tol, begin, check)
 
-    def _solve_with_known_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
-        begins = {name: phase.initial_time for name, phase in start.phases.items()}
-        left = {name: s.truncate_arcs_before(begins[name]) for name, s in self.structures.items()}
-        return optimise_switching_times(
-            start,
-            tol=tol,
-            budget=self._create_warm_start_budget(),
-            structures=left,
-            options=KNOWN_ARCS_OPTIONS,
-            segments="nearby",
-        )
-
-    def _solve_on_known_mesh(
-        self, start: Solution, problem: Problem, tol: float
-    ) -> tuple[Solution, History] | None:
-        budget = self._create_warm_start_budget()
-        first = budget.allot_work_budget_share(warm_iterations=WARM_MAX_ITERATIONS)
-        found = solve_problem_on_mesh(problem, scheme=start.scheme, guess=start, budget=first)
-        if found.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        if not found.status.solved:
-            return None
-        return refine_mesh(found, tol=tol, budget=budget)
-
     def _has_arcs_of_known_solution(self, found: Candidate) -> bool:
         """Return whether a solution has the arcs of the known one, or the same mesh."""
         known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
-
-    def _create_warm_start_budget(self) -> WorkBudget:
-        most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
-        return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 
 
 def restore_initial_refinement_meshes(known: Solution) -> dict[str, Mesh]:

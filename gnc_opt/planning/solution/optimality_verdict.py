@@ -278,12 +278,10 @@ SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionR
 
 def find_worst_optimality_condition(conditions: Iterable[Condition]) -> Condition:
     """Return the failed, or else inconclusive, condition with the largest nonzero value."""
-
-    def rank_condition_severity(condition: Condition) -> tuple[int, bool, float]:
-        value = condition.value
-        return SEVERITY[condition.result], value == 0.0, math.inf if math.isnan(value) else -value
-
-    return min(conditions, key=rank_condition_severity)
+    return min(
+        conditions,
+        key=lambda c: (SEVERITY[c.result], c.value == 0.0, math.inf if math.isnan(c.value) else -c.value),
+    )
 
 
 def format_violation(value: float) -> str:

@@ -52,7 +52,11 @@ class PiecewisePolynomial:
         frozen = {id(x): _make_read_only_copy(x) for x in self.nodes}  # most segments share their nodes
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(_make_read_only_copy(v) for v in self.values))
-        _check_mesh_break_times(self.breaks)
+        vector = self.breaks.ndim == 1 and self.breaks.size > 1
+        if not (vector and np.isfinite(self.breaks).all() and (np.diff(self.breaks) > 0).all()):
+            raise ArgumentError(
+                f"breaks must be at least two finite, strictly increasing times, got {self.breaks}"
+            )
         _check_polynomial_nodes_and_values(self.breaks.size - 1, self.nodes, self.values)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -163,12 +167,6 @@ def _build_interpolation_bases(
 
 
 _get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_bases)
-
-
-def _check_mesh_break_times(breaks: Array) -> None:
-    vector = breaks.ndim == 1 and breaks.size > 1
-    if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
-        raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
 
 
 def _check_polynomial_nodes_and_values(

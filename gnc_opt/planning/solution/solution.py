@@ -206,8 +206,7 @@ class Solution(PrintableResult):
         """Return H = L + lambda.f at time(s) t; needs the problem."""
         selected = self.phase(phase)
         at = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
-        values = self.phase_functions(selected.name).hamiltonian(*at)
-        return float(values) if np.ndim(t) == 0 else values
+        return drop_singleton_axes(self.phase_functions(selected.name).hamiltonian(*at)[None], t)
 
     def switching_function(
         self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"

@@ -13,7 +13,6 @@ from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResu
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
-from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 LABEL_WIDTH = 13
@@ -83,10 +82,8 @@ def summary(solution: SolutionLike) -> str:
 
 def get_available_solution_accuracy(solution: SolutionLike) -> Accuracy | None:
     """Return the accuracy, computed or stored in the file; None if neither is possible."""
-    known: Accuracy | None = None
-    if solution.problem is not None or "accuracy" in vars(solution):
-        known = solution.accuracy
-    return known
+    known: Accuracy | None = vars(solution).get("accuracy")
+    return known if solution.problem is None else solution.accuracy
 
 
 def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
@@ -103,10 +100,14 @@ def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
 
 def format_mesh(solution: SolutionLike) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
-    several, phases = len(solution.phases) > 1, solution.phases.items()
-    named = [f"{name} " * several + _format_phase_mesh(phase.mesh) for name, phase in phases]
-    scheme = next(iter(solution.phases.values())).scheme
-    return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
+    named = []
+    for name, mesh in ((name, phase.mesh) for name, phase in solution.phases.items()):
+        low, high = min(mesh.degrees), max(mesh.degrees)
+        text = f"{name} " * (len(solution.phases) > 1) + pluralise_noun(mesh.segments, "segment")
+        text += f", degree {low}" + f" to {high}" * (high > low)
+        free = f", {pluralise_noun(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+        named.append(text + free)
+    return f"{'; '.join(named)}, {_FAMILY_NAMES[solution.scheme]}"
 
 
 def format_objective(solution: SolutionLike) -> str:
@@ -123,12 +124,6 @@ def format_optimality(solution: SolutionLike) -> str:
         return str(solution.verdict.headline)
     unknown = "not checked: call verify()"
     return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
-
-
-def _format_phase_mesh(mesh: Mesh) -> str:
-    low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{pluralise_noun(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {pluralise_noun(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
 def _format_summary_headline(solution: SolutionLike) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.constructed_solutions import cart, interval, phase, samples, solution
+from testing.constructed_solutions import cart, interval, samples
 from testing.internals import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
@@ -25,7 +25,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
-from gnc_opt.planning import Arc, ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
 from gnc_opt.planning.refinement.arcs import structure_update as f
@@ -383,15 +383,6 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     assert f.refine_arc_mesh_by_residuals(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
     assert f.refine_arc_mesh_by_residuals(pushed, plan, 1e-9) is None
-
-
-def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
-    problem = cart()
-    structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
-    found = s._list_arcs_of_all_phases(
-        solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)}
-    )
-    assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(

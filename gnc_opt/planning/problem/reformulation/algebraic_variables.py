@@ -29,7 +29,6 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import find_bounds_not_implied_by_norm
 from gnc_opt.planning.problem.reformulation.reformulated_controls import build_guess_of_expression
@@ -79,9 +78,7 @@ class AlgebraicVariable:
         initial = [phase.initial_state(n) for n in phase.model.states.names if n != self.symbol.variable.name]
         value = ca.substitute(self.residual, own, ca.vertcat(phase.initial_time, *initial, start))
         text = f"{self.symbol.variable.name} is replaced by a state that follows from {self.constraint}"
-        phase.restatement = ControlMap.create_identity_map(phase.model, (text,)).compose_control_maps(
-            phase.restatement
-        )
+        phase.describe_reformulation(text)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -98,15 +99,10 @@ class EquivalentBounds:
 
     def reformulate_phase(self, _: ProblemData, phase: Phase, __: tuple[Any, ...]) -> None:
         """Replace the path constraints by the bounds."""
-        box = phase.numbers.controls
-        for own in self.boxes.values():
-            box = intersect_bounds(box, own)
+        box = reduce(intersect_bounds, self.boxes.values(), phase.numbers.controls)
         phase.numbers = replace(phase.numbers, controls=box)
         phase.paths = {name: c for name, c in phase.paths.items() if name not in self.boxes}
-        texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
-        phase.restatement = ControlMap.create_identity_map(phase.model, texts).compose_control_maps(
-            phase.restatement
-        )
+        phase.describe_reformulation(*(f"'{name}' is replaced by bounds of controls" for name in self.boxes))
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -201,12 +197,16 @@ class SplitControls(ReformulatedPhase):
         model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_split_controls)
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
-        texts = tuple(_describe_control_replacement(c) for c, _ in splits)
+        texts = []
+        for control, _ in splits:
+            corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
+            shown = f"{corner}{' - '.join(control.parts)}"
+            texts.append(f"{control.name} is replaced by {shown}, split at the kinks of its cost")
         return cls(
             model,
             paths,
             {name: (symbol, replace_kinks(name, e)) for name, (symbol, e) in phase.integrands.items()},
-            ControlMap(old, stated, solved, ca.vertcat(*values), texts),
+            ControlMap(old, stated, solved, ca.vertcat(*values), tuple(texts)),
             tuple(c for c, _ in splits),
         )
 
@@ -222,9 +222,3 @@ class SplitControls(ReformulatedPhase):
                 scales[plus] = scales[minus] = scales.pop(control.name)
         controls = stack_named_bounds(boxes, self.model.controls)
         self.reformulate_phase_functions(phase, replace(old, controls=controls, scales=scales))
-
-
-def _describe_control_replacement(control: SplitControl) -> str:
-    plus, minus = control.parts
-    corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
-    return f"{control.name} is replaced by {corner}{plus} - {minus}, split at the kinks of its cost"

@@ -265,10 +265,7 @@ class EndpointEpigraph:
             box = Interval(np.array([least]), np.full(1, np.inf))
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
-        phase = next(iter(problem.phases.values()))
-        phase.restatement = ControlMap.create_identity_map(phase.model, self.texts).compose_control_maps(
-            phase.restatement
-        )
+        next(iter(problem.phases.values())).describe_reformulation(*self.texts)
 
 
 @dataclass(frozen=True, eq=False)

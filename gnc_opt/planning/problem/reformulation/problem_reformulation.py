@@ -65,20 +65,19 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
             key = _reformulate_nonsmooth_terms(problem, phase, key, kind)
         keys.append(key)
-    ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
+    ends: tuple[Any, ...] = ()
+    if kinked_ends:
+        domain = SymbolRanges.collect_boundary_variable_ranges(problem)
+        at_ends = problem.memoize(
+            ("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain)
+        )
+        if at_ends.texts:
+            at_ends.reformulate_endpoint_functions(twin)
+            ends = at_ends.cache_key
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
-
-
-def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
-    """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
-    domain = SymbolRanges.collect_boundary_variable_ranges(problem)
-    form = problem.memoize(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
-    if form.texts:
-        form.reformulate_endpoint_functions(twin)
-    return form.cache_key if form.texts else ()
 
 
 def _reformulate_nonsmooth_terms(

@@ -356,17 +356,17 @@ class PhaseStructure:
         inner = {t for _, a in listed for t in (a.start, a.end) if first + rounding < t < last - rounding}
         times = (first, *sorted(inner), last)
         middles = [0.5 * (left + right) for left, right in itertools.pairwise(times)]
-        kinds = tuple(self._read_arc_kinds_at_time(t, listed) for t in middles)
+        # Controls that a limit determines are interior or singular.
+        determined = [ArcKind.INTERIOR if regular else ArcKind.SINGULAR for regular in self.regular]
+        here = [{i: a.kind for i, a in listed if a.start < t < a.end} for t in middles]
+        every = [[own.get(i, ArcKind.INTERIOR) for i in range(len(determined))] for own in here]
+        kinds = tuple(
+            tuple(determined[i] if kind is ArcKind.CONSTRAINED else kind for i, kind in enumerate(own))
+            for own in every
+        )
         at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
         touches = tuple(tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times)
         return replace(self, times=times, kinds=kinds, touches=touches).merge_equal_adjacent_arcs()
-
-    def _read_arc_kinds_at_time(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
-        """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
-        here = {i: a.kind for i, a in listed if a.start < time < a.end}
-        determined = [ArcKind.INTERIOR if regular else ArcKind.SINGULAR for regular in self.regular]
-        kinds = (here.get(i, ArcKind.INTERIOR) for i in range(len(determined)))
-        return tuple(determined[i] if k is ArcKind.CONSTRAINED else k for i, k in enumerate(kinds))
 
     def merge_equal_adjacent_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent subarcs joined."""

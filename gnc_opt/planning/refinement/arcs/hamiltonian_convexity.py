@@ -68,15 +68,10 @@ def mask_convex_controls(samples: PhaseSamples) -> Mask:
     bends = compute_hamiltonian_curvature(samples)
     above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
     at_times = np.any(bends > CONVEX, axis=1) & (below < NOTABLE * above)
-    return np.asarray((at_times & ~_mask_coupled_controls(samples)) | mask_regular_controls(samples))
-
-
-def _mask_coupled_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls have a mixed second derivative of H with another one, (m,)."""
     scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
     shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
     np.fill_diagonal(shares, 0.0)
-    return np.asarray(np.any(shares > EQUAL, axis=1))
+    return np.asarray((at_times & np.all(shares <= EQUAL, axis=1)) | mask_regular_controls(samples))
 
 
 def compute_hamiltonian_curvature(samples: PhaseSamples) -> Array:

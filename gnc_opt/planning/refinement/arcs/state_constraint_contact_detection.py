@@ -155,6 +155,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
     found: list[ContactNodes] = []
     if not rows:
         return found
+    offsets, points = s.leg.mesh.point_offsets, s.leg.point_times
     times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.list_finite_limits(int(row)):
@@ -166,16 +167,12 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             if constraints.get_order_of_constraint_contact(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_true_value_intervals(off & (scaled_multipliers == 0)):
-                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_nodes_cover_segment(times[a:b], s)
+                    inside = np.isin(points, times[a:b])
+                    covers = any(np.all(inside[first:last]) for first, last in pairwise(offsets))
+                    near[a:b] &= b - a < CONTACT_MIN_NODES or not covers
             runs = [(a, b) for a, b in find_true_value_intervals(near) if np.any(scaled_multipliers[a:b] > 0)]
             found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return found
-
-
-def _do_nodes_cover_segment(times: Array, samples: PhaseSamples) -> bool:
-    phase = samples.leg
-    inside = np.isin(phase.point_times, times)
-    return any(bool(np.all(inside[a:b])) for a, b in pairwise(phase.mesh.point_offsets))
 
 
 def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:

@@ -116,16 +116,6 @@ def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> tuple[Phas
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
-    subarcs = plan.segment_subarc_indices[samples.segments]
-    kinds = plan.structure.arc_kind_matrix()[:, subarcs]
-    violation, asked = _compute_sign_and_bound_violations(samples, plan.structure, kinds)
-    for i in range(violation.shape[0]):
-        clear_violations_near_switches(violation[i], kinds[i])
-    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
-
-
 def _insert_arc_at_largest_violation(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
@@ -142,14 +132,12 @@ def _insert_arc_at_largest_violation(
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
-def _compute_sign_and_bound_violations(
-    samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
-) -> tuple[Array, KindArray]:
-    """Return the violation of each control and path constraint (n_rows, n_samples), and the kind that removes it.
+def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right.
 
-    On a bound with a switching function of the wrong sign, it is the gain in H; the other kind is the opposite bound,
-    or interior where H is not linear in the control. For an interior control outside its bounds, it is the relative
-    excess. Mixed path constraints are treated alike.
+    The violation of a bound with a switching function of the wrong sign is the gain in H; the required kind is the
+    opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds, it is
+    the relative excess. Mixed path constraints are treated alike.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
@@ -159,9 +147,10 @@ def _compute_sign_and_bound_violations(
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
-    kinds = kinds[: pull.shape[0]]
+    subarcs = plan.segment_subarc_indices[samples.segments]
+    kinds = plan.structure.arc_kind_matrix()[: pull.shape[0], subarcs]
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
-    regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    regular = np.array(plan.structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = find_linear_path_constraints(samples).linear_path_constraints
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(mask_affine_controls(samples), linear)[:, None]
@@ -172,7 +161,10 @@ def _compute_sign_and_bound_violations(
     opposite = select_arc_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = select_arc_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
     other = select_arc_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
-    return violation, select_arc_kind(checked, other, crossed)
+    for own, own_kinds in zip(violation, kinds, strict=True):
+        clear_violations_near_switches(own, own_kinds)
+    asked = select_arc_kind(checked, other, crossed)
+    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
 def _insert_saturated_control_arc(
@@ -278,7 +270,9 @@ def find_junction_time(
 def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
-    direction = before.sign or after.sign
+    direction, phase, functions = before.sign or after.sign, samples.leg, samples.functions
+    boxes = (phase.control_bounds, phase.path_bounds)
+    limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
     subarcs = plan.segment_subarc_indices[samples.segments]
     for subarc in (interior, held):
         here = samples.times[subarcs == subarc]
@@ -286,8 +280,13 @@ def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: i
         times = here[::-1] if subarc < boundary else here
 
         def evaluate_limit_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
-            excess, slopes = _evaluate_limit_excess_and_multiplier(samples, direction, side, t)
-            return direction * (excess if subarc == interior else slopes)
+            """Return excess of limits, or switching functions and -multipliers, of controls and path constraints."""
+            x, u, mu = phase.x(t, side), phase.u(t, side), phase.path_multiplier(t, side)
+            if subarc == interior:
+                values = np.vstack([u, functions.path_constraints(t, x, u)])
+                return np.asarray(direction * (values - limits[:, None]))
+            slopes = functions.control_gradient(t, x, u, phase.lam(t, side), mu)
+            return np.asarray(direction * np.vstack([slopes, -mu]))
 
         over = evaluate_limit_violation(times)[row] > 0
         if np.all(over):
@@ -297,19 +296,6 @@ def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: i
             at = find_sign_change_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
             return float(at[0])
     return plan.structure.times[boundary]
-
-
-def _evaluate_limit_excess_and_multiplier(
-    samples: PhaseSamples, direction: int, side: Side, t: Array
-) -> tuple[Array, Array]:
-    """Return controls minus limits and switching functions, then path constraints minus limits and -multipliers."""
-    phase, functions = samples.leg, samples.functions
-    x, u, mu = phase.x(t, side), phase.u(t, side), phase.path_multiplier(t, side)
-    values = np.vstack([u, functions.path_constraints(t, x, u)])
-    slopes = np.vstack([functions.control_gradient(t, x, u, phase.lam(t, side), mu), -mu])
-    boxes = (phase.control_bounds, phase.path_bounds)
-    limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
-    return values - limits[:, None], slopes
 
 
 # --- resolutions ----------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -29,6 +29,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
+    LOOSENED,
     RAISED,
     SMOOTHED,
     correct_arc_structure,
@@ -89,12 +90,11 @@ def optimise_switching_times(
         plans[name] = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
         if segments == "few":
             plans[name] = ArcMesh.from_structure(structure, plans[name].points)
-    within, iterates = budget or WorkBudget(), list[_Iterate]()
+    within = budget or WorkBudget()
     with print_iterations(solution.problem_name, tol, progress) as show:
+        loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show)
+        guess, settled, integrated = solution, plans, None
         try:
-            loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show, iterates)
-            guess, settled = solution, plans
-            integrated: Solution | None = None
             if segments == "few":
                 guess, settled, integrated = _optimise_switching_times_by_newton(solution, plans)
             status = loop.iterate_control_structure(guess, settled, integrated)
@@ -102,6 +102,7 @@ def optimise_switching_times(
                 status = loop.iterate_control_structure(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
+    iterates = loop.iterates
     best = _choose_best_iterate(iterates, status, tol)
     records = [t.record for t in iterates] or [record_iteration(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
@@ -111,7 +112,11 @@ def optimise_switching_times(
     solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
         solution = _solve_costates_at_simultaneous_switches(solution, plans, chosen, within)
-    return replace(solution, structure=_list_arcs_of_all_phases(solution, plans)), history
+    arcs: list[Arc] = []
+    for name, phase in solution.phases.items():
+        labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
+        arcs += plans[name].structure.list_arcs(name, labels)
+    return replace(solution, structure=tuple(arcs)), history
 
 
 def _solve_costates_at_simultaneous_switches(
@@ -124,10 +129,6 @@ def _solve_costates_at_simultaneous_switches(
     if split is None or verify(split).ok:
         return split or solution
     return min(solution, split, key=lambda each: each.objective_error.absolute_error)
-
-
-Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
-"""Phase and its structures, without times, before and after an update."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,13 +177,13 @@ class _StructureLoop:
     nearby: bool
     options: SolverOptions
     show: Callable[[RefinementIteration], None]
-    iterates: list[_Iterate]
+    iterates: list[_Iterate] = field(default_factory=list)
 
     def iterate_control_structure(
         self, solution: Solution, plans: dict[str, ArcMesh], integrated: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes."""
-        changed: set[Change] = set()
+        changes: list[tuple[dict[str, PhaseStructure], dict[str, PhaseStructure]]] = []
         for _ in range(self.budget.max_passes):
             begin = time.perf_counter()
             if begin > self.budget.deadline:
@@ -208,11 +209,14 @@ class _StructureLoop:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            unchanged = set(action.split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
-            changes = set() if unchanged else _list_control_structure_changes(current, plans)
-            if changes & changed:
-                return RefinementStatus.STALLED
-            changed |= changes
+            if not set(action.split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED, LOOSENED}:
+                before, after = (
+                    {name: plan.structure.with_switch_times(()) for name, plan in each.items()}
+                    for each in (current, plans)
+                )
+                if (before, after) in changes:
+                    return RefinementStatus.STALLED
+                changes.append((before, after))
         return RefinementStatus.ITERATION_LIMIT
 
     def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
@@ -237,24 +241,6 @@ class _StructureLoop:
         meshes = {name: plan.build_mesh() for name, plan in plans.items()}
         found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=self.options, budget=self.budget)
         return replace(found, problem=self.problem)
-
-
-def _list_control_structure_changes(
-    before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]
-) -> set[Change]:
-    return {
-        (name, plan.structure.with_switch_times(()), after[name].structure.with_switch_times(()))
-        for name, plan in before.items()
-        if after[name].structure != plan.structure
-    }
-
-
-def _list_arcs_of_all_phases(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
-    arcs: list[Arc] = []
-    for name, s in solution.samples().items():
-        labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
-        arcs += plans[name].structure.list_arcs(name, labels)
-    return tuple(arcs)
 
 
 FREE_SPAN = 3e-6
