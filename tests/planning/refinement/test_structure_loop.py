@@ -26,11 +26,11 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
 from gnc_opt.planning.refinement.arcs import structure_update as f
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as s
-from gnc_opt.planning.refinement.arcs.structure_detection import evaluate_switching_functions
 from problems.classics import van_der_pol
 
 # Detection of arcs in coarse solutions, and the pieces of which a structure is made.
@@ -123,14 +123,6 @@ def test_curvature_distinguishes_linear_from_convex() -> None:
     ]
 
 
-def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
-    found = samples(CART, lam=lambda t, k: [0 * t, 5 + t], paths=lambda t, k: [2 * t, 0 * t])
-    t = np.array([0.1, 0.8])
-    assert d.evaluate_switching_functions(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
-    line = flight(lambda t, k: [0 * t], lambda t, k: [3.7 - t])
-    assert d.evaluate_switching_functions(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
-
-
 def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> None:
     """At 5, then at -5, its bounds; dH/du = a + lam_v is negative at the upper one, or positive at the lower one."""
     for lam, labels in ((-8.0, [UP, FREE]), (8.0, [FREE, LOW]), (0.0, [FREE, FREE])):
@@ -149,7 +141,7 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
     def at(values: Callable[[Array], Array], left: float, right: float) -> float:
         ends = np.array([left]), np.array([right])
-        return float(d.find_sign_change_times(lambda t: values(t)[None], np.array([0]), *ends)[0])
+        return float(find_sign_change_times(lambda t: values(t)[None], np.array([0]), *ends)[0])
 
     assert all(at(lambda t, s=s: s * (t - 0.3), 0.0, 1.0) == pytest.approx(0.3, abs=1e-14) for s in (-1, 1))
     assert at(lambda t: t + 1, 0.0, 1.0) == 0.5 and at(lambda t: -t - 1, 2.0, 4.0) == 3.0
@@ -189,7 +181,7 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
     structure = detect_control_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
-    assert abs(evaluate_switching_functions(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
+    assert abs(samples.leg.costate("v")(structure.times[1])) < 1e-12  # dH/da
     assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
 
 

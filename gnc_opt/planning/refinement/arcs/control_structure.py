@@ -199,14 +199,6 @@ class PhaseStructure:
         moved = bool(self.boundary_arc_controls[row]) and not self.orders[row]
         return self.orders[row] == 1 or (moved and row >= self.n_controls + self.n_paths)
 
-    def mask_path_limited_controls(self) -> Mask:
-        """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
-        held = np.zeros((self.n_controls, self.n_subarcs), dtype=bool)
-        for row in range(self.n_controls, self.n_controls + self.n_paths):
-            if not self.orders[row] and not self.regular[row]:
-                held[list(self.boundary_arc_controls[row])] |= self.active[row]
-        return held
-
     def mask_rows_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_equal_value_intervals
 from gnc_opt.numerical_tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
@@ -94,13 +92,6 @@ def detect_control_structure(
         len(phase.path_labels),
         effects=(*((),) * phase.controls.size, *effects, *((),) * phase.states.size),
     ).merge_equal_adjacent_arcs()
-
-
-def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
-    """Return dH/du of every control at some times (s), (m, n_times)."""
-    phase = samples.leg
-    at = times, phase.x(times), phase.applied(times), phase.lam(times), phase.path_multiplier(times)
-    return samples.functions.control_gradient(*at)
 
 
 def _classify_linear_control_arcs(
@@ -292,15 +283,12 @@ def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
-    """Return the times at which each control's label changes; zeros of switching functions are refined."""
-    times = samples.times
-    found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
-    jumps = [(i, j) for i, j in found if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit]
-    polished = [(i, j) for i, j in jumps if times[j + 1] > times[j]]
-    at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
-    if polished:
-        channels, places = np.array(polished).T
-        signals = partial(evaluate_switching_functions, samples)
-        zeros = find_sign_change_times(signals, channels, times[places], times[places + 1])
-        at |= zip(polished, zeros, strict=True)
-    return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
+    """Return the times at which each control's label changes: zeros of switching functions, else between samples."""
+    times, found = samples.times, list[list[float]]()
+    for row, slope in zip(rows, samples.control_gradient, strict=True):
+        found.append([])
+        for j in np.flatnonzero(row[1:] != row[:-1]):
+            crosses = row[j].is_at_limit and row[j + 1].is_at_limit and slope[j] * slope[j + 1] < 0
+            share = slope[j] / (slope[j] - slope[j + 1]) if crosses else 0.5
+            found[-1].append(float(times[j] + share * (times[j + 1] - times[j])))
+    return found

@@ -178,7 +178,7 @@ def _insert_saturated_control_arc(
     bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_rows_near_limit_changes()[: len(singular)]
-    singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, subarcs]
+    singular = (singular & ~released)[:, subarcs]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
     left_open = zip(plan.resolutions, compute_singular_hamiltonian_gradients(samples, plan), strict=True)
