@@ -1,25 +1,9 @@
 r"""Reference magnitudes of the optimality check: control deviation, reach of the states, cost scale.
 
 Every quantity that the check compares with its tolerance is a displacement, a gradient or a change of cost. It is
-divided by the value that control variations of the size of the applied controls cause.
-
-**Control deviation** :math:`q_k(t)`: the distance of the applied control from its mean over the phase, at least a tenth
-of the mean deviation; or the distance :math:`|H_u| / \mathrm{rms}(H_{uu})` to the minimum of H if that is larger (at
-most ten deviations, and a finite range). For a constant control at the minimum it is its magnitude; for an inactive one
-the deviation with the same cost as those of the others. Declared ranges have no influence.
-
-**Reach**: displacements by variations with :math:`\int \delta u_k^2 / q_k\,dt \le \int q_k\,dt` form the ellipsoid of
-
-.. math:: W(t) = \Phi W_0 \Phi^T
-          + \sum_k \int q_k\,ds \int_0^t \Phi(t, s)\, b_k\, q_k\, b_k^T\, \Phi(t, s)^T ds,
-
-the weighted controllability Gramian (W. S. Levine, ed., The Control Handbook, 2011, ch. 5). :math:`W_0` is zero for
-fixed initial states, the final value of another phase for linked ones, and the magnitude of the state for free ones;
-free parameters add their own columns. Displacements d are measured by :math:`|C^{-1/2}(d/r)|`, gradients g by
-:math:`|C^{1/2}(r g)|`, with :math:`r_i = \sqrt{W_{ii}}` and the correlation matrix C of W.
-
-**Cost scale**: :math:`\int \sum_k |H_{u_k}| q_k + \tfrac12 \sum_{kl} |H_{u_k u_l}| q_k q_l\,dt` over all phases, the
-second difference of the end cost over the reach, the duration times cost rates if it is free, and, without controls,
+divided by the value that control variations of the size of the applied controls cause. The section "Scales and
+measures" of ``docs/verdict.md`` has the equations and their source: deviations :math:`\Delta_k`, the reach as the
+ellipsoid of the controllability Gramian W, and the cost scale C. Without controls, C contains
 :math:`\tfrac12 \sum_i |J_{p_i p_i}| p_i^2` of the free parameters.
 
 The measures do not depend on units, origins, moving frames, mixtures of states, ranges or constants in the cost.

@@ -1,25 +1,10 @@
 """Sequence of solves for an accurate solution that passes the optimality check.
 
-================  =============================================================================================
-stage             solved problem
-================  =============================================================================================
-first mesh        the first mesh; if it shows arcs, the switching-time formulation with these arcs; otherwise, or if
-                  the objective is accurate already, hp refinement
-minimum of H      the first mesh again, from the controls that minimise H along the costates, if H is not minimal
-adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
-60 segments       60 segments of degree 3 in all phases together, warm start; once from an integrated trajectory; the
-                  switching-time formulation with the detected arcs if none has had a solution
-200 segments      200 segments of degree 3, warm start, and the switching-time formulation with the detected arcs
-hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
-================  =============================================================================================
-
-In the switching-time formulation, the ends of the arcs are variables; bound controls are fixed along their arcs.
-
-Every converged solution is a `Candidate`. The first one that passes the optimality check with local errors within the
-tolerance is returned at once; without a check, the first one whose estimated error of the objective is within the
-tolerance. A solve with a lower cost than another one on the same mesh replaces it: the first stage is repeated from it,
-at most once each, and finer stages start from it. At the end, at limits and after Ctrl-C the best candidate is returned
-(`best_solution_selection.select_best_candidate`).
+``docs/refinement.md`` lists the stages. Every converged solution is a `Candidate`. The first one that passes the
+optimality check with local errors within the tolerance is returned at once; without a check, the first one whose
+estimated error of the objective is within the tolerance. A solve with a lower cost than another one on the same mesh
+replaces it: the first stage is repeated from it, at most once each, and finer stages start from it. At the end, at
+limits and after Ctrl-C the best candidate is returned (`best_solution_selection.select_best_candidate`).
 """
 
 from __future__ import annotations
@@ -103,7 +88,7 @@ def refine(
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
         switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
         enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
-        ``"auto"``: the sequence of stages above.
+        ``"auto"``: all stages.
     check : bool
         Whether the solution must pass the optimality check; without it, the history ends as UNCHECKED.
     limits : RefinementLimits, optional

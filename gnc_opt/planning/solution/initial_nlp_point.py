@@ -85,7 +85,11 @@ def build_nlp_point_from_solution(
         phase = problem.phases[name]
         old = _get_matching_guess_phase(guess, phase)
         _copy_phase_guess_to_nlp_point(transcription, part, old, x, lam_x, lam_g)
-    _copy_free_parameters_from_guess(transcription, problem, guess, x, lam_x)
+    for name in problem.parameters.names:
+        if name in guess.free_parameters:
+            places, known = problem.parameters.slice(name), guess.free_parameters.slice(name)
+            x[transcription.parameter_places[places]] = guess.parameter_values[known]
+            lam_x[transcription.parameter_places[places]] = guess.parameter_multipliers[known]
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
@@ -153,16 +157,6 @@ def _copy_phase_guess_to_nlp_point(
     multipliers = invert_costate_map(collocation, costates, old.lam(breaks[1:], "left"))
     for rows, values in zip(collocation.dynamics_rows, multipliers, strict=True):
         lam_g[rows] = values
-
-
-def _copy_free_parameters_from_guess(
-    transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
-) -> None:
-    for name in problem.parameters.names:
-        if name in guess.free_parameters:
-            places = transcription.parameter_places[problem.parameters.slice(name)]
-            x[places] = guess.parameter_values[guess.free_parameters.slice(name)]
-            lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
 
 
 def _set_boundary_constraint_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:

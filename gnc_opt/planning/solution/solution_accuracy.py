@@ -3,22 +3,13 @@ r"""Accuracy of a solution: objective, limits and final states in their units, a
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
 collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control.
 
-The error of the objective is its difference from the local optimum. With the costates :math:`\lambda` of the minimised
-functional, along the polynomials :math:`x_h, u_h` of the mesh, every segment contributes three terms:
-
-.. math::
-
-    d &= \int \lambda^T (f(x_h, u_h) - \dot x_h) \, dt
-         + \sum_i w_i \Big( \int L_i \, dt - Q_i \Big), \\
-    o &= \sum_j \int \mu_j^+ (c_j - c_{j,\max})^+ \, dt \quad
-         (\text{of an equation } c_j = c_{j,0}: \big|\int \mu_j (c_j - c_{j,0}) \, dt\big|), \\
-    g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt:
-
-effects of defects and quadratures Q; of limits exceeded between the points; of other controls on H (with path
-constraints, mu of the correct sign; exact if H is affine in a control, else one projected Newton step). The estimate is
-:math:`A = \sum (|d| + o + |g|)`; errors cancel within a segment only, decreases of H by three quarters at most (beside
-a switch, the polynomial is beyond its bounds). To first order it is the dual-weighted residual of the optimality system
-(Becker & Rannacher, Acta Numerica 10, 2001): an estimate, not a bound.
+The error of the objective is its difference from the local optimum. Every segment contributes the effects d of defects
+and quadratures, o of limits exceeded between the points, and g of other controls on H (with path constraints, mu of the
+correct sign; exact if H is affine in a control, else one projected Newton step). The section "Estimated error of the
+objective" of ``docs/refinement.md`` has the equations. The estimate is :math:`A = \sum (|d| + o + |g|)`; errors cancel
+within a segment only, decreases of H by three quarters at most (beside a switch, the polynomial is beyond its bounds).
+To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001),
+not a bound.
 """
 
 from __future__ import annotations

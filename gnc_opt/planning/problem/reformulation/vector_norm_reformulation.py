@@ -209,6 +209,11 @@ class NormSubstitution(ReformulatedPhase):
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
+        composed, first = list[tuple[ComposedControl, Any]]([(control, product)]), 0
+        for v in (old.controls[name] for name in names if len(names) > 1):
+            rows = tuple(range(first, first + v.size))
+            composed.append((AssembledControl(v, parts, rows), product[list(rows)]))
+            first += v.size
         paths, on_sphere = _reformulate_path_constraints(found.kept, substitute_norm, magnitude)
         lengths = [v.direction_norm_constraint_name for v in phase.vector_controls]
         controls, values = list[Symbol](), list[Any]()
@@ -227,7 +232,7 @@ class NormSubstitution(ReformulatedPhase):
         return cls(
             old.express_in_other_controls(
                 controls,
-                _compose_vectors_from_norm_and_direction(old, names, control, product),
+                composed,
                 substitute_norm,
             ),
             paths | {label: phase.paths[label] for label in lengths},
@@ -293,17 +298,6 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     labels = [choose_unused_variable_name(model, f"{name}_{what}") for what in ("magnitude", "direction")]
     magnitude = Variable(labels[0], 1, variables[0].unit, nominal)
     return name, Symbol(magnitude), Symbol(Variable(labels[1], size, "", (1.0,) * size))
-
-
-def _compose_vectors_from_norm_and_direction(
-    model: Model, names: Names, control: VectorControl, product: Any
-) -> list[tuple[ComposedControl, Any]]:
-    found, first = list[tuple[ComposedControl, Any]]([(control, product)]), 0
-    for v in (model.controls[name] for name in names if len(names) > 1):
-        rows = tuple(range(first, first + v.size))
-        found.append((AssembledControl(v, control.parts, rows), product[list(rows)]))
-        first += v.size
-    return found
 
 
 # --- constraints ------------------------------------------------------------------------------------------

@@ -60,12 +60,11 @@ class PhaseStructure:
     effects: tuple[tuple[ControlEffect, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        rows, defaults = len(self.kinds[0]), {"regular": False, "orders": 0, "effects": ()}
-        absent = {name: (value,) * rows for name, value in defaults.items() if not getattr(self, name)}
-        if not self.touches:
-            absent["touches"] = ((),) * (len(self.kinds) + 1)
-        for name, values in absent.items():
-            object.__setattr__(self, name, values)
+        rows, defaults = len(self.kinds[0]), {"regular": False, "orders": 0, "effects": (), "touches": ()}
+        for name, value in defaults.items():
+            if not getattr(self, name):
+                size = len(self.kinds) + 1 if name == "touches" else rows
+                object.__setattr__(self, name, (value,) * size)
 
     @cached_property
     def boundary_arc_controls(self) -> tuple[tuple[int, ...], ...]:
@@ -134,15 +133,14 @@ class PhaseStructure:
         if self.find_state_to_control_limit_change(boundary) or self.find_control_limit_change(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
-        return not self.touches[boundary] and all(
-            (
-                self.regular[i]
-                or self._is_constraint_set_by_regular_controls(i, boundary)
-                or self.has_saturated_control(i, boundary)
-            )
-            and not (before[i].is_at_limit and after[i].is_at_limit)
-            for i in self.find_changed_arcs(boundary)
-        )
+        for i in self.find_changed_arcs(boundary):
+            owners = [kinds[c] for kinds in (before, after) for c in self.boundary_arc_controls[i]]
+            by_regular = self.regular[i] or (bool(self.orders[i]) and ArcKind.SINGULAR not in owners)
+            if not (by_regular or self.has_saturated_control(i, boundary)):
+                return False
+            if before[i].is_at_limit and after[i].is_at_limit:
+                return False
+        return not self.touches[boundary]
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Return whether a control on a state constraint reaches its bound, and others keep the constraint."""
@@ -203,22 +201,11 @@ class PhaseStructure:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
         for k in range(1, self.n_subarcs):
-            given_out = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
-            for row in [
-                *self.find_control_limit_change(k),
-                *self.find_state_to_control_limit_change(k),
-                *given_out,
-            ]:
+            rows = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
+            rows += [*self.find_control_limit_change(k), *self.find_state_to_control_limit_change(k)]
+            for row in rows:
                 beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside
-
-    def _is_constraint_set_by_regular_controls(self, row: int, boundary: int) -> bool:
-        """Return whether a state constraint determines only regular controls, at one side of a boundary."""
-        beside = (self.kinds[boundary - 1], self.kinds[boundary])
-        linear = any(
-            kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_arc_controls[row]
-        )
-        return bool(self.orders[row]) and not linear
 
     def mask_constraints_near_contacts(self, touches: bool) -> Mask:
         """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).

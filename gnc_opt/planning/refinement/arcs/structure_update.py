@@ -1,14 +1,9 @@
-r"""Corrections of a control structure by its solution: arcs removed, added or moved, subarcs refined.
+"""Corrections of a control structure by its solution: arcs removed, added or moved, subarcs refined.
 
-If H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
-constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: if the control leaves its bound too
-late or too early by :math:`\delta`, its error is :math:`O(\delta)` for a time :math:`\delta`, which costs
-:math:`O(\delta^3)`. As a variable of the program, the time of a kink would thus depend on discretisation errors.
-
-States and costates have errors of :math:`O(\delta^2)` only. A kink is therefore fixed during a solve, in which the
-control is fixed on one side and *unbounded* on the other. It then moves to the time at which the control of the
-interior arc meets the bound (bound arc too short) or the switching function along the bound arc changes sign (bound arc
-too long). This iteration converges quadratically.
+The time of a kink, where a control with strictly convex H enters or leaves a bound or a mixed path constraint, is fixed
+during a solve ("Kinks" in ``docs/refinement.md``). The control is fixed on one side and *unbounded* on the
+other. The kink then moves to the time at which the control of the interior arc meets the bound (bound arc too short) or
+the switching function along the bound arc changes sign (bound arc too long). This iteration converges quadratically.
 """
 
 from __future__ import annotations

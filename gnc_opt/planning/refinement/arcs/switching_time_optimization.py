@@ -1,9 +1,4 @@
-r"""Optimisation of switching times with an iteration on the control structure.
-
-The switching times are variables. Along each subarc between two of them a control is fixed on a bound, or free
-(interior and singular arcs), and the subarc is collocated with a high degree. The costates of the optimum check the
-structure: a subarc whose length is zero is removed; where a switching function has the wrong sign, an arc is added. The
-iteration ends when all signs agree with the structure and the error between the nodes is small.
+"""Optimisation of switching times with an iteration on the control structure; steps: ``docs/refinement.md``.
 
 If several controls change at one time, not all from bound to bound, the multipliers are not unique. They become unique
 if the controls are free in short intervals on both sides of the time; that program has a warm start.
