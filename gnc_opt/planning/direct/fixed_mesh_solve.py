@@ -88,9 +88,7 @@ def solve_problem_on_mesh(
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
-        meshes = {
-            name: fix_mesh_breaks(phase) if guess.structure else phase.mesh for name, phase in known.items()
-        }
+        meshes = {n: fix_mesh_breaks(p) if guess.structure else p.mesh for n, p in known.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     budget = WorkBudget() if budget is None else budget

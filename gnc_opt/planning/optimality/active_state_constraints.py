@@ -339,10 +339,10 @@ def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
         for row, k in np.argwhere(here):
             if (rows.get_constraint_order(int(row)).order or 0) >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_breaks_where_active_limits_change(rows)
+    return tuple(found) + _find_limit_exchanges(rows)
 
 
-def _find_breaks_where_active_limits_change(rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_limit_exchanges(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, phase = rows.samples, rows.samples.leg
     orders = [rows.get_constraint_order(i) for i in range(len(phase.path_labels))]
@@ -358,14 +358,12 @@ def _find_breaks_where_active_limits_change(rows: StateConstraints) -> tuple[Jun
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in phase.mesh.movable:
-                if side := _find_side_where_other_limit_is_active(s, near, limits, k):
+                if side := _find_side_of_other_limit(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _find_side_where_other_limit_is_active(
-    s: PhaseSamples, near: Mask, others: list[Mask], boundary: int
-) -> int:
+def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))

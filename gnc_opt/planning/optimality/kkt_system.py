@@ -149,10 +149,8 @@ class ProgramPoint:
 
     @cached_property
     def parameter_values(self) -> Array:
-        scaling = self.scaling
-        return self.transcription.build_parameter_vector(
-            self.problem, scaling.variables, scaling.rows, scaling.objective
-        )
+        s = self.scaling
+        return self.transcription.build_parameter_vector(self.problem, s.variables, s.rows, s.objective)
 
     @cached_property
     def _constraint_values_and_jacobian(self) -> tuple[Array, Any]:
@@ -312,15 +310,13 @@ class NullSpace:
         return matrix, factorise_symmetric_matrix(matrix - slack)
 
     @cached_property
-    def factorise_projection_matrix(self) -> tuple[Any, Callable[[Array], Array]]:
+    def projection_factors(self) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle-point matrix of the identity and its solver, a projection onto the null space."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
     def invert_projected_hessian(self, hessian: Any = None) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian, by default the identity (a projection), restricted to the null space."""
-        matrix, solve = (
-            self.factorise_projection_matrix if hessian is None else self.factorise_hessian(hessian)
-        )
+        matrix, solve = self.projection_factors if hessian is None else self.factorise_hessian(hessian)
         rows = np.zeros(self.jacobian.shape[0])
 
         def apply_projected_inverse(vector: Array) -> Array:

@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables_by_quadrature
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
@@ -38,7 +38,7 @@ from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
 
 
-def _find_costate_jump_candidates(
+def _find_jump_candidates(
     transcription: Transcription,
     problem: Problem,
     fitted: Mapping[str, FittedPhase],
@@ -54,7 +54,7 @@ def _find_costate_jump_candidates(
     nowhere = np.zeros(0, dtype=bool)
     found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
     for name, part in transcription.parts.items():
-        functions, phase, fit = (bind_parameter_values(problem, name, q), problem.phases[name], fitted[name])
+        functions, phase, fit = (bind_parameters(problem, name, q), problem.phases[name], fitted[name])
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
         pure = np.flatnonzero([order != 0 for order in orders])
         if not pure.size:
@@ -153,18 +153,14 @@ def estimate_multipliers(
     row_limits = _ActiveSet.determine_active_set(
         transcription.get_constraint_bounds(problem), values, near / row_scales
     )
-    gradients, sizes, at_limits = _find_costate_jump_candidates(
-        transcription, problem, fitted, q, scales, near
-    )
+    gradients, sizes, at_limits = _find_jump_candidates(transcription, problem, fitted, q, scales, near)
     jumps = scipy.sparse.diags_array(weights) @ gradients
     jumps = jumps @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
     pushing = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
     )
-    restarts = {
-        name: _choose_adjoint_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()
-    }
+    restarts = {name: _choose_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()}
     exact = _mask_adjoint_equation_rows(transcription, restarts)
     determined = _mask_adjoint_multipliers(transcription, restarts)
     basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
@@ -354,12 +350,12 @@ def _mask_adjoint_multipliers(transcription: Transcription, restarts: Mapping[st
     return columns
 
 
-def _choose_adjoint_shooting_nodes(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+def _choose_shooting_nodes(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
     middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
-    jacobian = bind_parameter_values(problem, name, q).state_jacobian(middles, x, phase.u(middles))
+    jacobian = bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))
     jacobian = np.moveaxis(np.nan_to_num(jacobian), 2, 0)
     size = replace_zeros_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])

@@ -53,7 +53,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
@@ -115,9 +115,7 @@ class Scales:
         order = sorted(samples, key=lambda s: s.leg.initial_time)
         links = differentiate_linked_initial_states(problem, solution, order)
         deviations = {s.leg.name: estimate_control_deviations(s) for s in samples}
-        typical = {
-            name: estimate_state_and_control_magnitudes(phase)[0] for name, phase in problem.phases.items()
-        }
+        typical = {n: estimate_state_and_control_magnitudes(p)[0] for n, p in problem.phases.items()}
 
         def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
             gramians = compute_control_gramians(links, order, deviations, columns)
@@ -125,9 +123,7 @@ class Scales:
             return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in legs.items()}
 
         reach = compute_reachable_sets({})
-        costs = {
-            s.leg.name: _compute_cost_of_each_control_deviation(s, deviations[s.leg.name]) for s in samples
-        }
+        costs = {s.leg.name: _compute_control_costs(s, deviations[s.leg.name]) for s in samples}
         flat = sum(float(np.sum(c)) for c in costs.values())
         changed = sum(
             max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
@@ -155,11 +151,11 @@ class Scales:
         # Along a state limit controls change the cost only through its multiplier.
         limited = sum(_compute_cost_of_state_shift_at_limits(s, reach[s.leg.name][1].radius) for s in lasting)
         cost = limited if cost < SMALL * limited else cost
-        curvatures = _compute_parameter_lagrangian_curvatures(problem, solution, samples)
+        curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _compute_parameter_variation_scales(problem, solution, curvatures, cost)
+        parameters = _compute_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             reach = compute_reachable_sets(columns)
@@ -203,7 +199,7 @@ def solve_quadratic_step_to_limit(excess: Array, first: Array, second: Array) ->
         return np.asarray(np.divide(2.0 * excess, first + root, out=share, where=root > 0))
 
 
-def _compute_cost_of_each_control_deviation(s: PhaseSamples, deviation: Array) -> Array:
+def _compute_control_costs(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
     first = np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation
     second = 0.5 * np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) * deviation**2
@@ -241,15 +237,13 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    found = (compute_hamiltonian_integral_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
+    found = (compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
     coarse, fine = map(set_nonfinite_to_zero, found)
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
-def compute_hamiltonian_integral_differences(
-    s: PhaseSamples, moves: Array, step: float, every: int = 1
-) -> Array:
+def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
     """Return central first and half second differences per step of the integral of H along moves (2, n).
 
     H is taken at every ``every``-th sample.
@@ -275,9 +269,7 @@ def _compute_end_time_shift_cost(s: PhaseSamples, ends: EndPoints) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _compute_parameter_variation_scales(
-    problem: Problem, solution: Solution, curvatures: Array, cost: float
-) -> Array:
+def _compute_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
@@ -289,9 +281,7 @@ def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array
     return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
 
 
-def _compute_parameter_lagrangian_curvatures(
-    problem: Problem, solution: Solution, samples: list[PhaseSamples]
-) -> Array:
+def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
     """Return the second derivatives of the Lagrangian in the free parameters (n,), by differences."""
     values, size = solution.parameter_values, _compute_parameter_magnitudes(problem, solution)
     bends = np.zeros(values.size)
@@ -312,7 +302,7 @@ def _differentiate_lagrangian(
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = bind_parameter_values(problem, s.leg.name, q, s.functions.weights)
+        functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
@@ -448,9 +438,7 @@ class EndPoints:
                 moves.append(self._expand_endpoint_displacements(change))
         return moves
 
-    def compute_end_lagrangian_differences(
-        self, reach: Mapping[str, Reach], parameters: Array, step: float
-    ) -> Array:
+    def compute_end_differences(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
             self._list_end_displacements_along_axes(reach, still=True),

@@ -92,9 +92,8 @@ class Switches:
 
     def list_switch_sequences(self) -> Iterator[tuple[int, ...]]:
         """Yield all possible orders of the switches."""
-        for choice in itertools.product(
-            *(itertools.permutations(group) for group in self.simultaneous_switch_groups)
-        ):
+        orders = (itertools.permutations(group) for group in self.simultaneous_switch_groups)
+        for choice in itertools.product(*orders):
             yield tuple(itertools.chain.from_iterable(choice))
 
     def build_piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:

@@ -160,7 +160,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     return best
 
 
-def build_solution_of_best_candidate(
+def build_best_solution(
     candidates: Sequence[Candidate],
     ended: RefinementStatus | None,
     tol: float,
@@ -184,7 +184,7 @@ def build_solution_of_best_candidate(
         tol,
         tuple(passes),
         sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
-        _format_status_message(status, best, verdict, tol),
+        _format_message(status, best, verdict, tol),
         time.perf_counter() - begin,
         None if first is None or first in candidates else first.history.passes[0],
     )
@@ -223,9 +223,7 @@ def _choose_refinement_status(
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
-def _format_status_message(
-    status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float
-) -> str:
+def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
     """Return the message: local error, estimated error of the objective and failed conditions."""
     error = best.largest_local_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"

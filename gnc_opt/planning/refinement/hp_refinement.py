@@ -348,14 +348,12 @@ def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> l
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _bracket_constraint_activation_time(here, row, int(j), phase.duration)
+            start, end = _bracket_activation_time(here, row, int(j), phase.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _bracket_constraint_activation_time(
-    times: Array, pull: Array, j: int, duration: float
-) -> tuple[float, float]:
+def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
     """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]

@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import mask_affine_controls
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import Segments, optimise_switching_times
-from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_best_solution
 from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
@@ -163,9 +163,7 @@ class StagedRefinement:
             ended = None
         elif not any(c.is_solved and c.solution is self.first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
-        return build_solution_of_best_candidate(
-            self.candidates, ended, self.tol, self.begin, self.check, self._first
-        )
+        return build_best_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
 
     def _iterate_stages_of_structure(self, structure: StructureChoice) -> Iterator[Candidate]:
         self._solve_without_fixed_arcs()
@@ -182,7 +180,7 @@ class StagedRefinement:
                     f"no control of '{self.first.problem_name}' enters the Hamiltonian linearly between two finite "
                     'bounds: use structure="none".'
                 )
-            yield from self._solve_with_detected_arcs(self.first, FIRST, found, share=1.0)
+            yield from self._solve_with_arcs(self.first, FIRST, found, share=1.0)
 
     # --- sequence of solves -------------------------------------------------------------------------------------
 
@@ -226,23 +224,21 @@ class StagedRefinement:
                     yield from self._refine_first_mesh(first)
         middle = yield from self._solve_on_medium_mesh(first.solution)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_with_detected_arcs(middle, f"{MIDDLE}, switching times")
-        fine = self._solve_candidate_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
+            yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
+        fine = self._solve_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
             again = self._solve_from_minimum_hamiltonian(fine, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
-            yield from self._solve_with_detected_arcs(fine.solution, f"{FINE}, switching times")
+            yield from self._solve_with_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
     def _refine_first_mesh(self, first: Candidate) -> Iterator[Candidate]:
         found = detect_arc_structures(first.solution)
         arcs = _has_arcs(found)
         if arcs:
-            yield from self._solve_with_detected_arcs(
-                first.solution, f"{first.stage}, switching times", found
-            )
+            yield from self._solve_with_arcs(first.solution, f"{first.stage}, switching times", found)
         if first is self._first:
             yield first
         if not arcs or first.is_objective_error_small(self.tol):
@@ -251,13 +247,13 @@ class StagedRefinement:
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
-        found = self._solve_candidate_on_mesh(MIDDLE, meshes, first)
+        found = self._solve_on_mesh(MIDDLE, meshes, first)
         yield found
         simulated = with_simulated_guess(self.first.need_problem("refine"))
         if simulated is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             stage = f"{MIDDLE}, integrated guess"
-            second = self._solve_candidate_on_mesh(stage, meshes, None, simulated, most)
+            second = self._solve_on_mesh(stage, meshes, None, simulated, most)
             yield second
             if second.is_solved and (not found.is_solved or second.has_lower_cost_on_same_mesh(found)):
                 found = second
@@ -268,7 +264,7 @@ class StagedRefinement:
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.get_errors_for_solution_ranking(self.tol))
         found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
-        yield from self._solve_with_detected_arcs(found.solution, f"{HP}, switching times", segments="kept")
+        yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.largest_local_error <= self.tol or not found.is_nearly_optimal:
                 return
@@ -288,7 +284,7 @@ class StagedRefinement:
         if problem is not self.first.problem:
             self.first = replace(self.first, problem=problem.frozen())
             meshes = {name: fix_mesh_breaks(phase) for name, phase in self.first.phases.items()}
-            found = self._solve_candidate_on_mesh(FIRST, meshes, self.first)
+            found = self._solve_on_mesh(FIRST, meshes, self.first)
             self.first = found.solution if found.is_solved else self.first
 
     def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
@@ -297,7 +293,7 @@ class StagedRefinement:
         uniform = Mesh.uniform(each, STAGE_DEGREE)
         return {name: max(uniform, phase.mesh, key=lambda m: m.size) for name, phase in like.phases.items()}
 
-    def _solve_candidate_on_mesh(
+    def _solve_on_mesh(
         self,
         stage: str,
         meshes: Mapping[str, Mesh],
@@ -330,9 +326,7 @@ class StagedRefinement:
             return None
         meshes = {name: phase.mesh for name, phase in start.solution.phases.items()}
         guess = guess_by_minimum_hamiltonian(start.solution)
-        return self._solve_candidate_on_mesh(
-            stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True
-        )
+        return self._solve_on_mesh(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
     def _solve_with_adaptive_barrier(self, start: Candidate, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
@@ -344,7 +338,7 @@ class StagedRefinement:
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: phase.mesh for name, phase in start.solution.phases.items()}
         most = WARM_MAX_ITERATIONS + start.solution.statistics.iterations
-        return self._solve_candidate_on_mesh(stage, meshes, None, iterations=most, options=other)
+        return self._solve_on_mesh(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh_by_hp(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
@@ -362,7 +356,7 @@ class StagedRefinement:
         yield candidate
         return candidate
 
-    def _solve_with_detected_arcs(
+    def _solve_with_arcs(
         self,
         start: Solution,
         stage: str,
@@ -372,7 +366,7 @@ class StagedRefinement:
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
         found = found or detect_arc_structures(start)
-        if not self._should_solve_with_detected_arcs(found) and share < 1.0:
+        if not self._should_solve_with_arcs(found) and share < 1.0:
             return
         solution, history = optimise_switching_times(
             start,
@@ -386,7 +380,7 @@ class StagedRefinement:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _should_solve_with_detected_arcs(self, found: Mapping[str, PhaseStructure]) -> bool:
+    def _should_solve_with_arcs(self, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
         if not _has_arcs(found):
             return False

@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_solution_of_best_candidate
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_best_solution
 from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
@@ -191,7 +191,7 @@ class KnownArcs:
         check = check or not self._has_arcs_of_known_solution(candidate)
         if not candidate.history.converged or (check and not candidate.verdict.ok):
             return None
-        return build_solution_of_best_candidate([candidate], None, tol, begin, check)
+        return build_best_solution([candidate], None, tol, begin, check)
 
     def _has_arcs_of_known_solution(self, found: Candidate) -> bool:
         """Return whether a solution has the arcs of the known one, or the same mesh."""

@@ -119,9 +119,7 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
     return pieces
 
 
-def split_duplicate_multipliers(
-    collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask
-) -> Array:
+def split_multipliers(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
     """Distribute the multipliers of path constraints that LGL contains twice.
 
     At a segment boundary only the sum of both is unique. One active side gets all, two get equal densities. ``paths``
@@ -215,13 +213,11 @@ class PhaseCostates:
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
             here = _get_segment_point_slice(collocation, k)
-            self._split_multiplier_density_and_impulse(k, k, here.start, self.start, 1.0)
+            self._split_density_and_impulse(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
-                self._split_multiplier_density_and_impulse(k, k + 1, here.stop - 1, self.end, -1.0)
+                self._split_density_and_impulse(k, k + 1, here.stop - 1, self.end, -1.0)
 
-    def _split_multiplier_density_and_impulse(
-        self, k: int, boundary: int, point: int, side: Array, sign: float
-    ) -> None:
+    def _split_density_and_impulse(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of

@@ -238,9 +238,7 @@ class Verdict:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups, left = self.condition_groups, self.open_conditions
         failing = next((found for found in groups.values() if any(c in left for c in found)), [])
-        lines = [
-            line for c in failing if c in left for line in _explain_optimality_condition(c, self.estimated)
-        ]
+        lines = [line for c in failing if c in left for line in _explain_condition(c, self.estimated)]
         also = ", ".join(c.name for c in left if c not in failing)
         lines += [f"also: {also}"] * bool(also)
         worst = {group: find_worst_optimality_condition(found) for group, found in groups.items()}
@@ -295,12 +293,10 @@ def _format_condition_table(title: str, rows: list[tuple[str, Condition, str]]) 
     cells = [(title, "result", "violation", "location")]
     cells += [(name, c.result.value, format_violation(c.value), place) for name, c, place in rows]
     width, wide = (max(len(row[i]) for row in cells) for i in (0, 2))
-    return [
-        f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in cells
-    ]
+    return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {at}" for name, result, value, at in cells]
 
 
-def _explain_optimality_condition(condition: Condition, sampled: bool) -> list[str]:
+def _explain_condition(condition: Condition, sampled: bool) -> list[str]:
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",

@@ -258,9 +258,8 @@ class PhaseSolution:
     ) -> Array:
         values = source(t, side)
         if composed is not None:
-            return np.asarray(
-                composed.compose_control(*(values[self.controls.slice(p)] for p in composed.parts))
-            )
+            parts = (values[self.controls.slice(part)] for part in composed.parts)
+            return np.asarray(composed.compose_control(*parts))
         return values if self.turns is None else self.turns.wrap_angles(values)
 
     def _build_state_or_control_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:

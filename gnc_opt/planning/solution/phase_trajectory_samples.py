@@ -187,9 +187,8 @@ class PhaseSamples:
             if vector.direction_norm_constraint_name in rows
             for i in layout.indices(vector.direction)
         }
-        idle = mask_inactive_controls(
-            self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms
-        )
+        at = self.times, self.x, self.u, self.control_scale
+        idle = mask_inactive_controls(self.functions, bounds, *at, norms)
         for vector in vectors:
             magnitude = self.u[layout.slice(vector.magnitude)]
             scale = self.control_scale[layout.slice(vector.magnitude), None]

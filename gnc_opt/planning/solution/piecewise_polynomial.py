@@ -57,7 +57,7 @@ class PiecewisePolynomial:
             raise ArgumentError(
                 f"breaks must be at least two finite, strictly increasing times, got {self.breaks}"
             )
-        _check_polynomial_nodes_and_values(self.breaks.size - 1, self.nodes, self.values)
+        _check_nodes_and_values(self.breaks.size - 1, self.nodes, self.values)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s), (n,) for a scalar, (n, m) for an array; up to 1e-12 outside is clamped.
@@ -91,9 +91,8 @@ class PiecewisePolynomial:
     def derivative(self) -> PiecewisePolynomial:
         """Return the time derivative, on the same nodes; per second."""
         rates = 2.0 / np.diff(self.breaks)
-        matrices = {
-            id(x): build_differentiation_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()
-        }
+        distinct = {id(x): x for x in self.nodes}
+        matrices = {key: build_differentiation_matrix(x, x).T for key, x in distinct.items()}
         pieces = zip(self.nodes, self.values, rates, strict=True)
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)
@@ -169,9 +168,7 @@ def _build_interpolation_bases(
 _get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_bases)
 
 
-def _check_polynomial_nodes_and_values(
-    count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]
-) -> None:
+def _check_nodes_and_values(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
     good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have equal nodes
@@ -232,11 +229,9 @@ class SaturatedControl:
     @cached_property
     def jump_times(self) -> Array:
         """Times of possible discontinuities, including the ends, in ascending order."""
-        pieces = [self.polynomial.breaks]
-        pieces += [
-            self._quadrature_cell_edges[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))
-        ]
-        return np.unique(np.concatenate(pieces))
+        constant = np.flatnonzero(self.is_piecewise_constant.any(axis=0))
+        cells = [self._quadrature_cell_edges[k] for k in constant]
+        return np.unique(np.concatenate([self.polynomial.breaks, *cells]))
 
     def evaluate_clipped_polynomial(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the polynomial clipped to the bounds; for guesses, not for propagation."""

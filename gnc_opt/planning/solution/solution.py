@@ -62,7 +62,7 @@ from gnc_opt.planning.solution.solution_accuracy import (
     Accuracy,
     ObjectiveError,
     estimate_objective_error,
-    measure_solution_accuracy,
+    measure_accuracy,
 )
 from gnc_opt.planning.solution.solution_from_nlp_result import Violation
 from gnc_opt.planning.solution.solution_summary import summary
@@ -262,7 +262,7 @@ class Solution(PrintableResult):
         The applied control is integrated independently of the collocation. Needs the problem or a saved value.
         """
         error = self.objective_error.absolute_error
-        return measure_solution_accuracy(self.samples().values(), self.objective, error)
+        return measure_accuracy(self.samples().values(), self.objective, error)
 
     @cached_property
     def objective_error(self) -> ObjectiveError:

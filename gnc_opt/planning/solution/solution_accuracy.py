@@ -86,14 +86,12 @@ def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
 
 def _compute_cost_of_constraint_violations(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
-    of_states = _weight_violations_by_multipliers(s, s.x, s.leg.state_bounds, s.state_multiplier)
+    of_states = _weight_violations(s, s.x, s.leg.state_bounds, s.state_multiplier)
     paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
-    return of_states + _weight_violations_by_multipliers(s, paths, s.leg.path_bounds, s.mu)
+    return of_states + _weight_violations(s, paths, s.leg.path_bounds, s.mu)
 
 
-def _weight_violations_by_multipliers(
-    s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array
-) -> Array:
+def _weight_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return exceeded limits times their multipliers, if these have the correct sign (K,).
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
@@ -203,9 +201,7 @@ class Accuracy:
         return f"objective ± {self.objective_error:.1g}; {self.summary_text}"
 
 
-def measure_solution_accuracy(
-    samples: Iterable[PhaseSamples], objective: float, objective_error: float
-) -> Accuracy:
+def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
@@ -217,7 +213,7 @@ def measure_solution_accuracy(
         pairs = zip(phase.states.labels, phase.states.units, strict=True)
         labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]
         x = integrate_states_to_times(phase, s.functions, pieces.ravel())
-        missed = max(missed, _find_largest_state_error_at_end(s, x[:, -1], labels), key=itemgetter(0))
+        missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, u)
         of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
@@ -226,9 +222,7 @@ def measure_solution_accuracy(
     return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
 
 
-def _find_largest_state_error_at_end(
-    s: PhaseSamples, end: Array, labels: Sequence[str]
-) -> tuple[float, float, str]:
+def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
     phase, box = s.leg, s.leg.final_bounds
     miss = np.abs(end - phase.x(phase.breaks[-1], "left"))

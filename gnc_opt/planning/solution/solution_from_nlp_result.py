@@ -27,7 +27,7 @@ from gnc_opt.planning.solution.costates import (
     PhaseCostates,
     compute_costates_at_collocation_points,
     correct_constraint_arc_costates,
-    split_duplicate_multipliers,
+    split_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_point_values
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -48,9 +48,7 @@ def read_phase_parameters(problem: Problem, phase: Phase, q: Array) -> Array:
     return p
 
 
-def bind_parameter_values(
-    problem: Problem, name: str, q: Array, weights: Array | None = None
-) -> PhaseFunctions:
+def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     phase = problem.phases[name]
     weights = np.zeros(len(phase.integrands)) if weights is None else weights
@@ -92,7 +90,7 @@ def build_phase_solutions(
         anchors = extended[part.times]
         times, spans = _compute_collocation_times(collocation, anchors)
         x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-        integrands = bind_parameter_values(problem, name, q).integrands(times, x, u)
+        integrands = bind_parameters(problem, name, q).integrands(times, x, u)
         integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
         p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
@@ -111,7 +109,7 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     found = variables.copy()
     for name, part in transcription.parts.items():
         phase, collocation = problem.phases[name], part.collocation
-        functions = bind_parameter_values(problem, name, q)
+        functions = bind_parameters(problem, name, q)
         times, _ = _compute_collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         found[collocation.point_controls] = unwrap_angles(functions, phase.numbers.controls, times, x, u)
@@ -173,13 +171,13 @@ def _build_phase_solution(
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.list_fixed_phase_times(problem)])[part.times]
     times, spans = _compute_collocation_times(collocation, anchors)
-    functions = bind_parameter_values(problem, part.name, q, gradients.integrals[part.name])
+    functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = compute_costates_at_collocation_points(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = functions.mixed_path_constraints
-    paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
+    paths = split_multipliers(collocation, paths, weights, mixed)
     rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _fix_movable_mesh_breaks(collocation.mesh, anchors)

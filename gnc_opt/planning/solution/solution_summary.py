@@ -130,14 +130,12 @@ def _format_summary_headline(solution: SolutionLike) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
-        status = f"NOT SOLVED ({_format_solver_status(solution.status.value)})"
+        status = f"NOT SOLVED ({_format_status(solution.status.value)})"
     elif history is None:
-        status = f"solved ({_format_solver_status(solution.status.value)})"
+        status = f"solved ({_format_status(solution.status.value)})"
     else:
         reached = history.converged or history.status is RefinementStatus.UNCHECKED
-        status = (
-            f"{'refined' if reached else 'NOT CONVERGED'} ({_format_solver_status(history.status.value)})"
-        )
+        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
     return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 
@@ -224,5 +222,5 @@ def list_points_outside_tables(solution: SolutionLike) -> list[OutsideTable]:
     return [] if solution.problem is None else solution.outside_tables()
 
 
-def _format_solver_status(value: str) -> str:
+def _format_status(value: str) -> str:
     return value.replace("_", " ")

@@ -87,7 +87,7 @@ def compute_state_scales(
     moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
         return replace_tiny_by_one(take_largest_variable_component(size, phase.states))
-    movable = _estimate_controllable_state_changes(phase, functions, used)
+    movable = _estimate_controllable_changes(phase, functions, used)
     movable = take_largest_variable_component(movable, phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
@@ -154,9 +154,7 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
     return np.asarray(least)
 
 
-def _estimate_controllable_state_changes(
-    phase: PhaseSolution, functions: PhaseFunctions, used: Array
-) -> Array:
+def _estimate_controllable_changes(phase: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
     middles = compute_interval_midpoints(phase.breaks)
     x, u = phase.x(middles), phase.applied(middles)

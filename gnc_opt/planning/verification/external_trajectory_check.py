@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
-    bind_parameter_values,
+    bind_parameters,
     build_phase_solutions,
     read_phase_parameters,
     unwrap_angles,
@@ -279,7 +279,7 @@ def _build_sampled_solution(
 ) -> Solution:
     fitted = {
         name: fit_trajectory_polynomials(
-            samples[name], bind_parameter_values(problem, name, q).state_rates
+            samples[name], bind_parameters(problem, name, q).state_rates
         ).split_mesh_segments(parts)
         for name in problem.phases
     }
@@ -327,7 +327,7 @@ def _unwrap_sampled_angles(
     found = {}
     for name, phase in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwrap_angles(bind_parameter_values(problem, name, q), bounds, phase.t, phase.x, phase.u)
+        controls = unwrap_angles(bind_parameters(problem, name, q), bounds, phase.t, phase.x, phase.u)
         found[name] = replace(phase, u=controls)
     return found
 

@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
-    compute_hamiltonian_integral_differences,
+    compute_hamiltonian_differences,
 )
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmooth_operations, has_kinks
 from gnc_opt.planning.problem.problem import Problem
@@ -114,9 +114,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     combined = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
     if combined:
         ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
-    of_ends = [
-        ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in STEPS
-    ]
+    of_ends = [ends.compute_end_differences(scales.reach, scales.parameters, step) for step in STEPS]
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
         axes = moves = scales.phases[s.leg.name].along.nonzero_semi_axes
@@ -166,7 +164,7 @@ def _find_largest_second_difference_excess(differences: Array) -> float:
 
 
 def _compute_hamiltonian_differences_by_step(s: PhaseSamples, moves: Array) -> list[Array]:
-    return [compute_hamiltonian_integral_differences(s, moves, step) for step in STEPS]
+    return [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
 
 
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:

@@ -48,7 +48,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameter_values
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.verification.active_limits_and_touch_points import (
     compute_touch_point_lagrangian,
@@ -218,7 +218,7 @@ class ShiftedTrajectory:
         ]
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        functions = bind_parameter_values(problem, name, q, s.functions.weights) if q.size else s.functions
+        functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
         times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 

@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import (
 from gnc_opt.planning.refinement.hp_refinement import (
     KINK_ESTIMATE_ORDER,
     Kink,
-    _bracket_constraint_activation_time,
+    _bracket_activation_time,
     choose_mesh_breaks_around_kinks,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -350,7 +350,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
     times, pull = np.arange(4.0), np.array(row)
     zero = float(np.interp(0.0, pull, times))
     for duration in (1e1, 1e3):
-        start, end = _bracket_constraint_activation_time(times, pull, 1, duration)
+        start, end = _bracket_activation_time(times, pull, 1, duration)
         assert 0.5 * (start + end) == pytest.approx(zero) and times[1] <= start < end <= times[at + 1]
     assert end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
@@ -361,7 +361,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
 def test_multipliers_point_at_the_end_of_an_arc(side: int) -> None:
     """From 3 over 1 down to zero in the gap from 1 to 2: at 1.5; and the same way round in reverse."""
     times, pull = np.arange(4.0), np.array([3.0, 1.0, 0.0, 0.0])[::side]
-    start, end = _bracket_constraint_activation_time(times, pull, 1, 1e3)
+    start, end = _bracket_activation_time(times, pull, 1, 1e3)
     assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER / 1e3
     )
@@ -371,8 +371,8 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
     """Multipliers of constraints on states end with impulses; single ones point nowhere."""
     times = np.arange(4.0)
     for row in ((1.0, 1.0, 0.0, 0.0), (1.0, 3.0, 0.0, 0.0), (9.0, 8.0, 0.0, 0.0)):
-        assert _bracket_constraint_activation_time(times, np.array(row), 1, 1e3) == (1.0, 2.0)
-    assert _bracket_constraint_activation_time(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
+        assert _bracket_activation_time(times, np.array(row), 1, 1e3) == (1.0, 2.0)
+    assert _bracket_activation_time(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -132,10 +132,10 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
             lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
             control_bounds=interval(-5.0, 5.0),
         )
-        rows = d._classify_nonlinear_control_arcs(found, 0)
+        rows = d._classify_nonlinear_arcs(found, 0)
         assert [set(rows[found.segments == k]) for k in (0, 1)] == [{label} for label in labels]
     neither = samples(CART, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-9.0, 9.0))
-    assert set(d._classify_nonlinear_control_arcs(neither, 0)) == {FREE}
+    assert set(d._classify_nonlinear_arcs(neither, 0)) == {FREE}
 
 
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
@@ -291,12 +291,12 @@ RELEASED = ArcKind.RELEASED
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert SubarcMesh() == SubarcMesh(1, FIRST_DEGREE, 0, np.inf, ())
-    assert SubarcMesh(1, 6).refine_subarc_to_reduce_errors(np.array([0.1])) == SubarcMesh(1, 9)
-    assert SubarcMesh(2, 6).refine_subarc_to_reduce_errors(np.array([-1.0, 3.5])) == SubarcMesh(2, 10)
-    assert SubarcMesh(1, 11).refine_subarc_to_reduce_errors(np.array([8.0])) == SubarcMesh(1, ARC_MAX_DEGREE)
-    assert SubarcMesh(3, 7).refine_subarc_to_reduce_errors(np.array([0.0, -1.0, -9.0])) == SubarcMesh(3, 7)
+    assert SubarcMesh(1, 6).refine_to_reduce_errors(np.array([0.1])) == SubarcMesh(1, 9)
+    assert SubarcMesh(2, 6).refine_to_reduce_errors(np.array([-1.0, 3.5])) == SubarcMesh(2, 10)
+    assert SubarcMesh(1, 11).refine_to_reduce_errors(np.array([8.0])) == SubarcMesh(1, ARC_MAX_DEGREE)
+    assert SubarcMesh(3, 7).refine_to_reduce_errors(np.array([0.0, -1.0, -9.0])) == SubarcMesh(3, 7)
     many = SubarcMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
-    assert many.refine_subarc_to_reduce_errors(np.full(many.segments, 5.0)) == many
+    assert many.refine_to_reduce_errors(np.full(many.segments, 5.0)) == many
 
 
 def held_by(plan: ArcMesh) -> Any:

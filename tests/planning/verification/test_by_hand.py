@@ -28,7 +28,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
 )
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
-    _choose_adjoint_shooting_nodes,
+    _choose_shooting_nodes,
     _mask_adjoint_equation_rows,
     _mask_adjoint_multipliers,
     _sample_trajectory_variables,
@@ -390,7 +390,7 @@ def test_costates_begin_anew_after_a_growth_of_ten_thousand(rate: float, expecte
             return np.array([t])
 
     fitted: Any = SimpleNamespace(x=Ramp(), u=Ramp())
-    nodes = _choose_adjoint_shooting_nodes(problem, "leg", fitted, np.zeros(0))
+    nodes = _choose_shooting_nodes(problem, "leg", fitted, np.zeros(0))
     np.testing.assert_array_equal(nodes, expected)
 
 

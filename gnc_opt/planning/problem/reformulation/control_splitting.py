@@ -33,9 +33,9 @@ from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
-    find_integrand_kinks,
+    find_cost_kinks,
+    smooth_constraints,
     solve_affine_equation,
-    split_nonsmooth_constraints,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_controls import (
     ReformulatedPhase,
@@ -87,7 +87,7 @@ class EquivalentBounds:
         symbols = ca.vertsplit(phase.model.symbols("control"))
         controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
         boxes = dict[str, Interval]()
-        for name, c in split_nonsmooth_constraints(phase.paths, domain).items():
+        for name, c in smooth_constraints(phase.paths, domain).items():
             box = _read_control_bounds(c, controls, unbounded_interval(len(symbols)))
             boxes |= {} if box is None else {name: box}
         return cls(boxes)
@@ -133,7 +133,7 @@ class ControlKinks:
         layout, symbols = phase.model.controls, ca.vertsplit(phase.model.symbols("control"))
         controls = {i: symbols[i] for i in index_control_symbols(phase).values()}
         bends = dict[str, list[ControlKink]]()
-        for name, kinks in find_integrand_kinks(problem, phase, domain).items():
+        for name, kinks in find_cost_kinks(problem, phase, domain).items():
             found = (ControlKink.find_control_kink_of_extremum(kink, controls, domain) for kink in kinks)
             bends[name] = [bend for bend in found if bend is not None]
         corners: dict[int, float] = {}

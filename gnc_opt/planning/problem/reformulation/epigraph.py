@@ -44,9 +44,7 @@ class Extremum:
     pieces: Pieces
 
 
-def find_integrand_kinks(
-    problem: ProblemData, phase: Phase, domain: SymbolRanges
-) -> dict[str, list[Extremum]]:
+def find_cost_kinks(problem: ProblemData, phase: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
     _, x, u, _ = phase.model.symbolic_arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
@@ -234,7 +232,7 @@ class EndpointEpigraph:
 
     @classmethod
     def from_problem(cls, problem: ProblemData, domain: SymbolRanges) -> EndpointEpigraph:
-        changed = split_nonsmooth_constraints(problem.constraints, domain)
+        changed = smooth_constraints(problem.constraints, domain)
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
@@ -251,9 +249,8 @@ class EndpointEpigraph:
         cause = "a kink of the cost is replaced by parameter"
         texts = [f"{cause} {name}, bounded by its pieces" for name in parameters]
         texts += [f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()]
-        return cls(
-            replace_subexpressions_by_hash(problem.cost, instead), constraints, parameters, tuple(texts)
-        )
+        cost = replace_subexpressions_by_hash(problem.cost, instead)
+        return cls(cost, constraints, parameters, tuple(texts))
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -277,8 +274,8 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> KinkedTerms:
-        limits = split_nonsmooth_constraints(phase.paths, domain)
-        return cls(find_integrand_kinks(problem, phase, domain), limits)
+        limits = smooth_constraints(phase.paths, domain)
+        return cls(find_cost_kinks(problem, phase, domain), limits)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -292,15 +289,13 @@ class KinkedTerms:
         form.reformulate_phase(problem, phase)
 
 
-def split_nonsmooth_constraints(
-    constraints: Mapping[str, Constraint], domain: SymbolRanges
-) -> dict[str, Constraint]:
+def smooth_constraints(constraints: Mapping[str, Constraint], domain: SymbolRanges) -> dict[str, Constraint]:
     """Return the constraints of which rows are extrema, with smooth rows in their place."""
-    split = {name: _split_nonsmooth_constraint(c, domain) for name, c in constraints.items()}
+    split = {name: _smooth_constraint(c, domain) for name, c in constraints.items()}
     return {name: c for name, c in split.items() if c is not None}
 
 
-def _split_nonsmooth_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
+def _smooth_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     changed = False

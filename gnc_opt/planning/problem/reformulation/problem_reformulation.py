@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     has_kinks_in_endpoint_functions,
 )
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
-    find_vector_norm_substitution,
+    find_norm_substitution,
     remove_square_roots_from_norms,
 )
 from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
@@ -58,9 +58,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         box = find_bounds_not_implied_by_norm(problem, phase)
         signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (
-            form := problem.memoize(("form", *key), partial(find_vector_norm_substitution, phase))
-        ) is not None:
+        while (form := problem.memoize(("form", *key), partial(find_norm_substitution, phase))) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
             key = _reformulate_nonsmooth_terms(problem, phase, key, kind)
@@ -88,10 +86,8 @@ def _reformulate_nonsmooth_terms(
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
     place = ("operations", *key)
-    operations = problem.memoize(
-        place, lambda: collect_casadi_operation_codes(stack_phase_expressions(phase))
-    )
-    if not operations & {*KINKED}:
+    codes = problem.memoize(place, lambda: collect_casadi_operation_codes(stack_phase_expressions(phase)))
+    if not codes & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, phase)
     place = (kind.__name__, *key, domain.cache_key)

@@ -61,7 +61,7 @@ from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expression
 Names: TypeAlias = tuple[str, ...]
 
 
-def find_vector_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
+def find_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
     """Return the form for the largest vector whose norm is a root or limited by a control, else for a unit vector."""
     limited = (names for names, _, _ in _find_norm_limits(phase))
     names = max([*_find_vectors_in_norms(phase), *limited], key=len, default=None)

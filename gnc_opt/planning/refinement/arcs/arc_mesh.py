@@ -13,7 +13,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_arc_kind
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.transcription.mesh import Mesh
 
 FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
@@ -72,7 +72,7 @@ class SubarcMesh:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_subarc_to_reduce_errors(self, decades: Array) -> SubarcMesh:
+    def refine_to_reduce_errors(self, decades: Array) -> SubarcMesh:
         """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, the segments with the largest positive decades are halved;
@@ -199,22 +199,20 @@ class ArcMesh:
             times += [left + (right - left) * float(share) for share in r.segment_boundaries[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
-        inner = range(1, self.structure.n_subarcs)
-        movable = tuple(
-            self.subarc_boundary_breaks[k] for k in inner if not self.structure.has_only_control_kinks(k)
-        )
+        ends, s = self.subarc_boundary_breaks, self.structure
+        movable = tuple(ends[k] for k in range(1, s.n_subarcs) if not s.has_only_control_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_subarc_indices
         kinds = structure.arc_kind_matrix()
-        kinds = select_arc_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
+        kinds = select_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
         # Released rows: interior regular controls are unbounded, as their excess shows where the arc has to end.
         released = structure.mask_constraints_near_contacts(self.loose)
         released |= structure.mask_rows_near_limit_changes()
         released |= np.asarray(structure.regular, dtype=bool)[:, None]
-        kinds = select_arc_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
+        kinds = select_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
         n_controls = structure.n_controls
         controls, paths, states = np.split(kinds, [n_controls, n_controls + structure.n_paths])
         return problem.with_fixed_arcs(

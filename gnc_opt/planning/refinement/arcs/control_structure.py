@@ -25,6 +25,9 @@ Touch: TypeAlias = "tuple[int, ArcKind]"
 ControlEffect: TypeAlias = "tuple[int, int]"
 """Control, and sign of the derivative of a row, or of its time derivative of its order, in it; 0 if it changes."""
 
+Correction: TypeAlias = "tuple[PhaseStructure | None, str]"
+"""Corrected structure, None if there is nothing to correct, and the action."""
+
 
 @dataclass(frozen=True)
 class PhaseStructure:
@@ -272,7 +275,7 @@ class PhaseStructure:
     def with_inserted_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
         start, end = self._snap_time_to_boundary(start), self._snap_time_to_boundary(end)
-        times, kinds, touches = self._insert_subarc_boundaries(start, end)
+        times, kinds, touches = self._insert_boundaries(start, end)
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
@@ -285,7 +288,7 @@ class PhaseStructure:
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         time = self._snap_time_to_boundary(time)
-        times, kinds, touches = self._insert_subarc_boundaries(time)
+        times, kinds, touches = self._insert_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
         return replace(self, times=times, kinds=kinds, touches=tuple(touches)).merge_equal_adjacent_arcs()
 
@@ -294,9 +297,7 @@ class PhaseStructure:
         nearest = min(self.times, key=lambda t: abs(t - time))
         return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
 
-    def _insert_subarc_boundaries(
-        self, *new: float
-    ) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
+    def _insert_boundaries(self, *new: float) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
         """Return times, kinds and touches with further boundaries between subarcs of the same kinds."""
         times, known = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
@@ -359,9 +360,7 @@ class PhaseStructure:
         )
 
 
-def select_arc_kind(
-    condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray
-) -> KindArray:
+def select_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
     """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
     chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
     return np.asarray(chosen, dtype=object)

@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_arc_kind
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 SLOPE_PROBE_SHARE = 0.1
@@ -145,7 +145,7 @@ class LinearPathLimits:
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.leg.control_bounds
-        own = select_arc_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
         above, below = self._compute_admissible_controls(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
@@ -153,11 +153,11 @@ class LinearPathLimits:
             here = np.where(upward, above[row], below[row])
             tighter = np.where(upward, here < best, here > best)
             best = np.where(tighter, here, best)
-            own = select_arc_kind(tighter, ArcKind.SINGULAR, own)
+            own = select_kind(tighter, ArcKind.SINGULAR, own)
             for other, kinds in held.items():
-                held[other] = select_arc_kind(tighter, ArcKind.INTERIOR, kinds)
-            limit = select_arc_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
-            held[row] = select_arc_kind(tighter, limit, ArcKind.INTERIOR)
+                held[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
+            limit = select_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
     def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:

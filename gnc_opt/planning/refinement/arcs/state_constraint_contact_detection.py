@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.active_state_constraints import StateConstraint
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.control_structure import Correction, PhaseStructure
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
@@ -196,7 +196,7 @@ def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array
 
 
 @dataclass(frozen=True)
-class ConstraintArcControl:
+class ArcControl:
     """A control between its bounds from ``start`` to ``end`` (s); it keeps a row of `StateConstraints` on a limit."""
 
     control: int
@@ -206,7 +206,7 @@ class ConstraintArcControl:
     kind: ArcKind = ArcKind.INTERIOR
 
 
-def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> list[ConstraintArcControl]:
+def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> list[ArcControl]:
     """Return the controls that keep state constraints on their limits.
 
     On a mesh, control and switching function oscillate about their values; means of both and the multiplier are used.
@@ -224,16 +224,14 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
         mean, margin = np.mean(u[:, inside], axis=1), BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
         saturated = np.logical_or(*phase.control_bounds.is_near_limits(mean, margin))
         holders = [i for i, _ in constraints.rank_controls_by_constraint_effect(run.row) if not saturated[i]]
-        found += [ConstraintArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
+        found += [ArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
     return found
 
 
 # --- detection on a mesh --------------------------------------------------------------------------------------
 
 
-def add_constraint_contacts(
-    structure: PhaseStructure, problem: Problem, samples: PhaseSamples
-) -> PhaseStructure:
+def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
     """Return the structure with the contacts that multipliers and constraint values of a mesh show.
 
     A first-order constraint with a multiplier has an arc on its limit; one of second order has an arc if the contact is
@@ -247,14 +245,12 @@ def add_constraint_contacts(
         if order:
             effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
     structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
-    for run in _find_new_constraint_contact_nodes(constraints, structure) if any(orders) else ():
+    for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contact_arcs(structure, samples)
     return structure
 
 
-def _find_new_constraint_contact_nodes(
-    constraints: StateConstraints, structure: PhaseStructure
-) -> list[ContactNodes]:
+def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
     first, found = structure.n_controls, []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         known = structure.is_at_limit(first + run.row, run.times)
@@ -267,12 +263,10 @@ def _find_new_constraint_contact_nodes(
 # --- corrections ----------------------------------------------------------------------------------------------
 
 
-def add_missing_constraint_contact(
-    constraints: StateConstraints, plan: ArcMesh
-) -> tuple[PhaseStructure | None, str]:
+def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure with a contact at the largest missing multiplier and the action, or None."""
     s, structure = constraints.samples, plan.structure
-    runs = _find_new_constraint_contact_nodes(constraints, structure)
+    runs = _find_new_contact_nodes(constraints, structure)
     for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
         added = run.add_contact_arcs(structure, s)
         if added != structure:
@@ -282,9 +276,7 @@ def add_missing_constraint_contact(
     return None, ""
 
 
-def replace_saturated_arc_controls(
-    constraints: StateConstraints, plan: ArcMesh
-) -> tuple[PhaseStructure | None, str]:
+def replace_saturated_arc_controls(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure in which other controls keep a constraint on its limit and the action, or None.
 
     If a control linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls keep the

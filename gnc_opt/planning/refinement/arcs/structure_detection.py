@@ -13,7 +13,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
     KindArray,
     PhaseStructure,
-    select_arc_kind,
+    select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     LinearPathLimits,
@@ -25,8 +25,8 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     SHORT_ARC_SEGMENTS,
-    ConstraintArcControl,
-    add_constraint_contacts,
+    ArcControl,
+    add_contacts,
     find_constraint_arc_controls,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -36,16 +36,12 @@ from gnc_opt.planning.solution.solution import Solution
 def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:
     problem = solution.need_problem("refine")
     return {
-        name: add_constraint_contacts(
-            detect_control_structure(s, find_constraint_arc_controls(problem, s)), problem, s
-        )
+        name: add_contacts(detect_control_structure(s, find_constraint_arc_controls(problem, s)), problem, s)
         for name, s in solution.samples().items()
     }
 
 
-def detect_control_structure(
-    samples: PhaseSamples, determined: Sequence[ConstraintArcControl] = ()
-) -> PhaseStructure:
+def detect_control_structure(samples: PhaseSamples, determined: Sequence[ArcControl] = ()) -> PhaseStructure:
     """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.
 
     For controls linear in H, the sign of the switching function determines the kind, unless it stays near zero over
@@ -57,9 +53,9 @@ def detect_control_structure(
     limits = find_linear_path_constraints(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(phase.controls.size)]
     rows = [
-        _classify_linear_control_arcs(samples, i, held[i])
+        _classify_linear_arcs(samples, i, held[i])
         if affine[i]
-        else _classify_nonlinear_control_arcs(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
+        else _classify_nonlinear_arcs(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
         for i in range(phase.controls.size)
     ]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
@@ -94,12 +90,10 @@ def detect_control_structure(
     ).merge_equal_adjacent_arcs()
 
 
-def _classify_linear_control_arcs(
-    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]
-) -> KindArray:
+def _classify_linear_arcs(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
     gradient = _compute_relative_hamiltonian_change(samples, samples.control_gradient, i)
-    labels = select_arc_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
+    labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_mask_times_in_intervals(samples, held)] = ArcKind.SINGULAR
@@ -130,9 +124,9 @@ def _replace_bounds_by_path_constraints(
     singular = np.isin(samples.segments, free)
     singular |= _mask_times_in_intervals(samples, determined)
     own, held = limits.label_control_arcs(i, samples.switching_functions[i] < 0)
-    labels[:] = select_arc_kind(singular, ArcKind.SINGULAR, own)
+    labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
-        paths[row] = select_arc_kind(singular, ArcKind.INTERIOR, kinds)
+        paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
 
 
 def _compute_relative_hamiltonian_change(samples: PhaseSamples, gradient: Array, i: int) -> Array:
@@ -183,7 +177,7 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
     return [k for k in found if k - 1 in found or k + 1 in found]
 
 
-def _classify_nonlinear_control_arcs(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
+def _classify_nonlinear_arcs(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
     at_lower, at_upper = samples.leg.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
@@ -194,7 +188,7 @@ def _classify_nonlinear_control_arcs(samples: PhaseSamples, i: int, short: float
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
             high = samples.u[i, first:last] > samples.leg.control_bounds.midpoint[i]
-            labels[first:last] = select_arc_kind(high, ArcKind.UPPER, ArcKind.LOWER)
+            labels[first:last] = select_kind(high, ArcKind.UPPER, ArcKind.LOWER)
     return labels
 
 
@@ -233,7 +227,7 @@ def _classify_path_constraint_arcs(samples: PhaseSamples, mixed: Mask, depends: 
 
 
 def _classify_state_constraint_arcs(
-    samples: PhaseSamples, controls: KindArray, determined: Sequence[ConstraintArcControl] = ()
+    samples: PhaseSamples, controls: KindArray, determined: Sequence[ArcControl] = ()
 ) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every state.
 
@@ -278,8 +272,8 @@ def _mask_states_driven_by_singular_controls(samples: PhaseSamples, controls: Ki
 
 
 def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
-    otherwise = select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR)
-    return select_arc_kind(at_lower, ArcKind.LOWER, otherwise)
+    otherwise = select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR)
+    return select_kind(at_lower, ArcKind.LOWER, otherwise)
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:

@@ -27,14 +27,19 @@ from gnc_opt.planning.optimality.active_state_constraints import StateConstraint
 from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_arc_kind
+from gnc_opt.planning.refinement.arcs.control_structure import (
+    Correction,
+    KindArray,
+    PhaseStructure,
+    select_kind,
+)
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     find_linear_path_constraints,
     mask_affine_controls,
     mask_nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
-    add_missing_constraint_contact,
+    add_missing_contact,
     replace_saturated_arc_controls,
 )
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
@@ -57,7 +62,7 @@ def correct_arc_structure(
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
     for correct in (
         _remove_zero_length_subarc,
-        add_missing_constraint_contact,
+        add_missing_contact,
         _insert_saturated_control_arc,
         replace_saturated_arc_controls,
     ):
@@ -65,7 +70,7 @@ def correct_arc_structure(
             structure, action = correct(c, plans[name])
             if structure is not None:
                 return {**plans, name: plans[name].replace_control_structure(structure)}, action
-    adjusted = {name: _move_kinks_and_refine_subarcs(c, plans[name], tol) for name, c in constraints.items()}
+    adjusted = {name: _adjust_kinks_and_mesh(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
@@ -76,9 +81,7 @@ def correct_arc_structure(
     return plans, ""
 
 
-def _move_kinks_and_refine_subarcs(
-    constraints: StateConstraints, plan: ArcMesh, tol: float
-) -> tuple[ArcMesh, str]:
+def _adjust_kinks_and_mesh(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
     """Move kinks to where the solution has them and refine subarcs with large errors."""
     moved = move_control_kinks(constraints, plan)
     raised = refine_arc_mesh_by_residuals(constraints.samples, plan, tol)
@@ -99,7 +102,7 @@ def _move_kinks_and_refine_subarcs(
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure without a subarc of zero length and the action, or None if there is no such subarc."""
     structure, lengths = plan.structure, plan.structure.subarc_lengths
     shortest = int(np.argmin(lengths))
@@ -113,7 +116,7 @@ def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> tuple[Phas
 
 def _insert_arc_at_largest_violation(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
-) -> tuple[PhaseStructure | None, str]:
+) -> Correction:
     """Return the structure with an arc at the largest violation and the action, or None without a violation."""
     if not violation.size or violation.max() < GONE:
         return None, ""
@@ -127,7 +130,7 @@ def _insert_arc_at_largest_violation(
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
-def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Correction:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right.
 
     The violation of a bound with a switching function of the wrong sign is the gain in H; the required kind is the
@@ -153,18 +156,16 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> tuple
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
-    opposite = select_arc_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = select_arc_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    other = select_arc_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
+    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    other = select_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
     for own, own_kinds in zip(violation, kinds, strict=True):
         clear_violations_near_switches(own, own_kinds)
-    asked = select_arc_kind(checked, other, crossed)
+    asked = select_kind(checked, other, crossed)
     return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
-def _insert_saturated_control_arc(
-    constraints: StateConstraints, plan: ArcMesh
-) -> tuple[PhaseStructure | None, str]:
+def _insert_saturated_control_arc(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
     A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
@@ -186,7 +187,7 @@ def _insert_saturated_control_arc(
         for first, end in find_true_value_intervals(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
-    asked = select_arc_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
@@ -319,9 +320,7 @@ def choose_finer_subarc_mesh(r: SubarcMesh, errors: Array, gradient: float, tol:
         return smoother
     if np.all(errors <= tol):
         return smoother
-    return r.refine_subarc_to_reduce_errors(
-        np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol)
-    )
+    return r.refine_to_reduce_errors(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
 def compute_singular_hamiltonian_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:

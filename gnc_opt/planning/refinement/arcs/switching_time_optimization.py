@@ -274,12 +274,10 @@ def solve_with_split_switches(
         meshes[name] = replace(mesh, movable=movable)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
-    return _replace_multipliers_by_other_solution(solution, found, plans) if found.status.solved else None
+    return _copy_multipliers(solution, found, plans) if found.status.solved else None
 
 
-def _replace_multipliers_by_other_solution(
-    solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]
-) -> Solution:
+def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.fix_arcs_in_problem(held, name)

@@ -25,7 +25,7 @@ from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_arc_kind
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     SwitchedFlow,
     SwitchStep,
@@ -83,16 +83,12 @@ def find_optimal_switching_times(
         return None
     switches = _list_control_switches(s, structure)
     steps = FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = (
-        None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
-    )
+    flight = None if known is None else _iterate_simplified(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.find_missing_bang_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = (
-            _iterate_simplified_newton(problem, s, flight.switches, flight.step, accuracy, steps) or flight
-        )
+        flight = _iterate_simplified(problem, s, flight.switches, flight.step, accuracy, steps) or flight
     if flight is None:
         return None
     switches = _shift_switching_times(flight.switches, flight.step.change)
@@ -126,7 +122,7 @@ def _iterate_to_optimal_switches(
     return rested
 
 
-def _iterate_simplified_newton(
+def _iterate_simplified(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
@@ -201,7 +197,7 @@ def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switch
 def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
     at_upper = piecewise.controls == s.leg.control_bounds.upper[:, None]
-    kinds = select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
     kept = np.diff(piecewise.times) > 0
     times = tuple(map(float, piecewise.times[np.append(kept, True)]))
