@@ -190,14 +190,18 @@ def build_best_solution(
     )
     solution = best.solution
     provenance = {**solution.provenance, "stage": best.stage}
-    lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
-    if lower:  # on a coarse mesh, beyond the estimated errors of both
-        least = min(lower, key=lambda c: c.minimised_cost)
-        text = (
-            f"objective {least.solution.objective:.6g} on a coarse mesh (stage {least.stage}): try multistart"
-        )
-        provenance[BETTER_COARSE_SOLVE] = text
+    provenance |= _describe_lower_cost_on_coarse_mesh(candidates, best)
     return replace(solution, history=history, provenance=provenance).with_verdict(verdict)
+
+
+def _describe_lower_cost_on_coarse_mesh(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+    """Return a hint at a coarse solve with a lower objective, beyond the estimated errors of both; empty if none."""
+    lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
+    if not lower:
+        return {}
+    least = min(lower, key=lambda c: c.minimised_cost)
+    text = f"objective {least.solution.objective:.6g} on a coarse mesh (stage {least.stage}): try multistart"
+    return {BETTER_COARSE_SOLVE: text}
 
 
 def _choose_refinement_status(
