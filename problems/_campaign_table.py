@@ -56,9 +56,12 @@ def table(
         Of the percentiles.
     """
     counts = counts or {}
-    shown = ", ".join(f"{level:.0%}" for level in levels)
+    shown = ", ".join(f"{100 * level:g} %" for level in levels)
     found = Table(
-        title=f"{title} ({shown}, largest)", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD
+        title=f"{title} (percentiles {shown}; largest value)",
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
     )
     found.add_column("controller", no_wrap=True)
     for heading in (*(heading for heading, _ in measures.values()), *counts, "passed"):
