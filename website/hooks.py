@@ -7,6 +7,7 @@ become MathML, which browsers draw themselves: no script, and nothing from the n
 from __future__ import annotations
 
 import html
+import io
 import json
 import posixpath
 import re
@@ -20,6 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
@@ -100,7 +102,7 @@ _SECTION = 'doc-section-title">'
 _NO_ITEMS = re.compile(r'<p><span class="doc-section-title">[^<]*</span></p>\s*<ul>\s*</ul>')
 """Attributes without a description stand in the signature alone; parameters are listed with their type."""
 
-_PICTURE = re.compile(r'<p>(<img alt="([^"]*)" src="([^"]*)" ?/?>)</p>')
+_PICTURE = re.compile(r'<p>((?:<a [^>]*>)?<img alt="([^"]*)" src="([^"]*)" ?/?>(?:</a>)?)</p>')
 
 WIDE_PT = 420.0
 """Width of a picture above which phones scroll it instead of making its letters too small."""
@@ -231,12 +233,16 @@ def shorten_signature(found: re.Match[str]) -> str:
     )
 
 
-def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> str:
+def on_page_content(
+    content: str, *, page: Page | None = None, files: Files | None = None, **more: Any
+) -> str:
     """Turn formulas into MathML and pictures into figures with captions; leave out names without a description."""
-    folder = ROOT / "docs" / (posixpath.dirname(page.file.src_uri) if page else "")
+    folder = posixpath.dirname(page.file.src_uri) if page else ""
 
     def picture(found: re.Match[str]) -> str:
-        size = " wide" if _width_pt(folder / found[3]) > WIDE_PT else ""
+        place = posixpath.normpath(posixpath.join(folder, found[3]))
+        file = files.get_file_from_path(place) if files else None
+        size = " wide" if _width_pt(file.content_bytes if file else _read(place)) > WIDE_PT else ""
         return (
             f'<figure class="picture{size}"><div>{found[1]}</div><figcaption>{found[2]}</figcaption></figure>'
         )
@@ -297,14 +303,14 @@ def separate_formulas(latex: str) -> list[str]:
     return [part for part in parts if part.strip()]
 
 
-def _width_pt(path: Path) -> float:
-    """Return the width of an SVG picture in points; other pictures count as wide."""
-    found = (
-        re.search(r'<svg [^>]*width="([\d.]+)pt"', path.read_text(encoding="utf-8"))
-        if path.suffix == ".svg"
-        else None
-    )
-    return float(found[1]) if found else WIDE_PT + 1
+def _read(place: str) -> bytes:
+    return (ROOT / "docs" / place).read_bytes()
+
+
+def _width_pt(picture: bytes) -> float:
+    """Return the width of a picture in points: that of an SVG file, or 0.75 per pixel."""
+    found = re.search(rb'<svg [^>]*width="([\d.]+)pt"', picture)
+    return float(found[1]) if found else 0.75 * Image.open(io.BytesIO(picture)).width
 
 
 def _marked_if_long(found: re.Match[str]) -> str:

@@ -51,6 +51,8 @@ def test_a_picture_has_its_description_as_caption() -> None:
     for name, kind in (("phases", "picture"), ("loop_bode", "picture wide")):
         shown = hooks.on_page_content(f'<p><img alt="Words." src="../{name}.svg" /></p>', page=page)
         assert f'<figure class="{kind}">' in shown and "<figcaption>Words.</figcaption>" in shown
+    shown = hooks.on_page_content('<p><a href="x"><img alt="" src="../overview.png"></a></p>', page=page)
+    assert '<figure class="picture wide"><div><a href="x"><img' in shown
 
 
 def test_internal_members_are_left_out_of_the_reference() -> None:
