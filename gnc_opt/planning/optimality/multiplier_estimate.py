@@ -121,8 +121,8 @@ def _differentiate_break_times(mesh: Mesh) -> Array:
 MAX_TRANSITION_NORM = 1e4
 """Growth of adjoint errors above which costates at a boundary become additional unknowns."""
 
-_ROUNDS = 8
-"""Largest number of iterations of the active set."""
+_ROUNDS, _SIGN_ITERATIONS = 8, 300
+"""Largest numbers of iterations of the active set, and of the linear program for the signs, which needs few."""
 
 
 def estimate_multipliers(
@@ -226,8 +226,7 @@ class _CostateFit:
         part = self.matrix[np.ix_(rows, used)]
         unknowns = np.zeros(used.size)
         if part.size:
-            sizes = np.linalg.norm(part, axis=0)
-            sizes = replace_zeros_by_one(sizes)
+            sizes = replace_zeros_by_one(np.linalg.norm(part, axis=0))
             found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
             unknowns[used] = found / sizes
         return unknowns
@@ -306,6 +305,7 @@ def _fit_multipliers_with_right_signs(
         b_eq=-right[loose],
         bounds=[*signs, *([(None, None)] * form.freed.size), (0.0, size)],
         method="highs",
+        options={"maxiter": _SIGN_ITERATIONS},
     )
     return None if found.status != 0 else np.asarray(found.x[:-1])
 

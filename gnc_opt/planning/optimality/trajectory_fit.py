@@ -1,11 +1,11 @@
 r"""Piecewise polynomial fit of sampled trajectories: Hermite interpolation of states, splines of controls.
 
 Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)`, of fourth order in
-the sampling interval. Controls are interpolated between their jumps by a cubic spline or, near kinks, by a modified
-Akima spline, which does not overshoot. Each interval uses the one for which the integrated dynamics are closer to the
-next sample. A jump is a repeated time with different values, or a change between samples ten times the adjacent ones;
-its time is determined from the states in the same way. A kink is a jump of the slope, at the intersection of the
-interpolants from both sides.
+the sampling interval. Controls are interpolated between their jumps by a quintic spline or, near kinks, by a modified
+Akima spline, which does not overshoot, but is of second order only. An interval uses the latter if it brings the
+integrated dynamics closer to the next sample by a factor of `KINK_ERROR_RATIO`. A jump is a repeated time with
+different values, or a change between samples ten times the adjacent ones; its time is determined from the states. A
+kink is a jump of the slope, at the intersection of the interpolants from both sides.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Indices, compute_interval_midpoints
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, TINY
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, ROUNDING, SMALL, TINY
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, subdivide_intervals
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -29,8 +29,11 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_rule,
 )
 
-DEGREE = 3
-"""Collocation points per sampling interval: cubic states, quadratic controls."""
+DEGREE = 4
+"""Collocation points per sampling interval: cubic controls, of the same order as the states."""
+
+KINK_ERROR_RATIO = 0.1
+"""Largest ratio of the propagation errors with Akima and quintic splines at a kink; without one, noise decides."""
 
 JUMP_MIN_RATIO = 10.0
 """Smallest ratio of a control's change to the adjacent changes at which it is a jump."""
@@ -147,9 +150,9 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     at = 3 + np.flatnonzero(visible & (turn[0] > JUMP_MIN_RATIO * np.maximum(turn[1], turn[2])))
     at = at[np.append(np.diff(at) > 1, True)[: at.size]]  # the second of two with a kink at the common sample
     found, start = [], 0
-    for k in at:
+    for k, end in zip(at, np.append(at[1:] + 1, t.size), strict=False):
         left = _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0]
-        right = _build_control_interpolants(t[k + 1 :], u[k + 1 :])[0]
+        right = _build_control_interpolants(t[k + 1 : end], u[k + 1 : end])[0]
         slack = NEGLIGIBLE * float(np.ptp(u))
         time = _find_curve_intersection(left, right, float(t[k]), float(t[k + 1]), slack)
         if time is not None:
@@ -199,15 +202,16 @@ class _ControlFit:
         return values
 
     def choose_control_interpolation(self, samples: SampledPhase, rates: Rates) -> None:
-        """Select Akima splines where the states agree better with them."""
+        """Select Akima splines where the states agree much better with them, relative to their median errors."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
-        size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
-        misses = []
+        errors = []
         for kinked in (False, True):
             self._kinked[:] = kinked
             ends = _propagate_states(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
-            misses.append(np.max(np.abs(ends - samples.x[:, long + 1]) / size, axis=0))
-        self._kinked[long] = misses[1] < misses[0]
+            errors.append(np.abs(ends - samples.x[:, long + 1]))
+        size = np.fmax(np.median(errors[0], axis=1), ROUNDING * np.max(np.abs(samples.x), axis=1)) + TINY
+        misses = [np.max(error / size[:, None], axis=0) for error in errors]
+        self._kinked[long] = misses[1] < KINK_ERROR_RATIO * misses[0]
 
 
 def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
@@ -215,7 +219,7 @@ def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
         return polynomial, polynomial
     akima = scipy.interpolate.Akima1DInterpolator(t, u, method="makima", extrapolate=True)
-    return scipy.interpolate.CubicSpline(t, u), akima
+    return scipy.interpolate.make_interp_spline(t, u, k=5 if t.size > 5 else 3), akima
 
 
 def _refine_control_jump_times(

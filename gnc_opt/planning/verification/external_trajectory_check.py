@@ -92,8 +92,8 @@ def _fill_directions_of_zero_vectors(size: Array, direction: Array) -> Array:
     return np.asarray(direction[:, known[np.maximum(before, 0)]])
 
 
-PARTS = (2, 4)
-"""Numbers of parts into which sampling intervals are divided, one after the other, until the adjoint equation holds;
+MOST_PARTS = 4
+"""Largest number of parts into which sampling intervals are divided, by halving, until the adjoint equation holds;
 costates may change faster than states."""
 
 INTERPOLATION_GROWTH, HALVED_STEPS, FEWEST_SAMPLES = 4.0, 5, 8
@@ -132,8 +132,8 @@ def verify_trajectory(
     p : array (n_parameters,) or mapping from names, optional
         Values of the problem's free parameters; required if it has any.
     tol : float
-        Tolerance of every condition. Its lower limit is the interpolation error, of third order in the sampling
-        interval for controls and of fourth order for states.
+        Tolerance of every condition. Its lower limit is the interpolation error, of fourth order in the sampling
+        interval.
 
     Returns
     -------
@@ -183,26 +183,27 @@ def _check_sampled_trajectory(
         other = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
-    for parts in PARTS:
-        if verdict["stationarity"].result is not ConditionResult.FAIL:
-            break
+    parts = 1
+    while verdict["stationarity"].result is ConditionResult.FAIL and parts < MOST_PARTS:
+        parts *= 2
         verdict = verify(_build_sampled_solution(problem, samples, q, parts), tol=tol)
-    return replace(_mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol), estimated=True)
+    verdict = _mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol, parts)
+    return replace(verdict, estimated=True)
 
 
 def _mark_interpolation_errors_inconclusive(
-    verdict: Verdict, problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
+    verdict: Verdict, problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float, parts: int
 ) -> Verdict:
     """Return the verdict with failures as inconclusive that denser samples would remove.
 
     Such failures grow if every second sample is omitted.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
-    few = any(phase.t.size < 2 * FEWEST_SAMPLES for phase in samples.values())
-    if not failed or few:
+    many = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * FEWEST_SAMPLES}
+    if not failed or not many:
         return verdict
-    thinned = {name: _remove_every_second_sample(phase) for name, phase in samples.items()}
-    coarse = verify(_build_sampled_solution(problem, thinned, q), tol=tol)
+    thinned = {**samples, **{name: _remove_every_second_sample(phase) for name, phase in many.items()}}
+    coarse = verify(_build_sampled_solution(problem, thinned, q, parts), tol=tol)
     if not all(_is_failure_due_to_interpolation(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"

@@ -270,9 +270,12 @@ def test_failures_of_coarse_samples_grow_without_every_second_one(
     monkeypatch.setattr(external_trajectory_check, "_build_sampled_solution", lambda *_: None)
     monkeypatch.setattr(external_trajectory_check, "verify", lambda *_, tol: coarse)
     t, given = np.linspace(0.0, 1.0, count), None
-    samples = {"leg": SampledPhase(t, t[None], t[None])}
+    samples = {
+        "leg": SampledPhase(t, t[None], t[None]),
+        "short": SampledPhase(t[:3], t[None, :3], t[None, :3]),
+    }
     found = external_trajectory_check._mark_interpolation_errors_inconclusive(
-        verdict, given, samples, given, 1e-5
+        verdict, given, samples, given, 1e-5, 1
     )
     assert found.conditions[0].result is result
 

@@ -63,7 +63,7 @@ def test_runge_kutta_multiplies_by_the_exponential_series_to_fourth_order() -> N
 @pytest.mark.parametrize("n", [2, 3, 4, 7])
 def test_interpolants_are_exact_for_polynomials_of_their_degree(n: int) -> None:
     t = np.linspace(1.0, 3.0, n) ** 2
-    degree = min(n - 1, 3)
+    degree = n - 1 if n < 4 else 5 if n > 5 else 3
     u = (t - 2.0) ** degree
     smooth, _ = _build_control_interpolants(t, u)
     at = np.linspace(1.0, 9.0, 11)
@@ -120,7 +120,7 @@ def test_jumps_between_samples(switches: tuple[float, float]) -> None:
     breaks = np.union1d(t, switches) / 2
     np.testing.assert_allclose(fitted.mesh.breaks, breaks, atol=1e-9)
     np.testing.assert_allclose(fitted.x.breaks, 2 * breaks, atol=1e-9)
-    assert fitted.mesh.degrees == (3,) * (breaks.size - 1)
+    assert fitted.mesh.degrees == (4,) * (breaks.size - 1)
 
 
 def test_jump_in_the_first_and_in_the_last_interval() -> None:
@@ -164,18 +164,6 @@ def test_few_samples_and_small_steps_have_no_jumps() -> None:
     assert fit_trajectory_polynomials(SampledPhase(t, x, steep[None]), lambda t, x, u: u).mesh.movable == ()
 
 
-def test_smooth_trajectory_to_third_order() -> None:
-    """u = t^2, x = t^3 / 3: splines and Hermite cubics are exact."""
-    t = np.array([0.0, 0.3, 0.7, 1.2, 1.6, 2.0, 2.3, 2.5, 2.9])
-    fitted = fit_trajectory_polynomials(
-        SampledPhase(t, (t**3 / 3)[None], (t**2)[None]), lambda t, x, u: u + 0 * x
-    )
-    at = np.linspace(0.0, 2.9, 51)[1:-1]
-    np.testing.assert_allclose(fitted.x(at), [at**3 / 3], atol=1e-12)
-    np.testing.assert_allclose(fitted.u(at), [at**2], atol=1e-12)
-    assert fitted.mesh.movable == ()
-
-
 def kinked(t: Array, kinks: tuple[float, float]) -> tuple[Array, Array]:
     """u = |t - s|, w = -2 |t - r|, and their integrals."""
     away = np.array([t - kinks[0], t - kinks[1]])
@@ -198,14 +186,14 @@ def test_kinks_lie_where_both_sides_meet(kinks: tuple[float, float]) -> None:
 
 
 def test_two_kinks_of_one_control() -> None:
-    """The first is found beside a spline that ripples at the second: 0.27 to the power of the samples between."""
+    """The first is found from the samples up to the second, beyond which a spline would ripple."""
     t = np.linspace(0.0, 3.0, 31)
     u, x = (
         np.abs(t - 0.93) - 2 * np.abs(t - 2.04),
         (t - 0.93) * np.abs(t - 0.93) / 2 - (t - 2.04) * np.abs(t - 2.04),
     )
     fitted = fit_trajectory_polynomials(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
-    np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.93, 2.04]), atol=1e-5)
+    np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.93, 2.04]), atol=1e-9)
 
 
 def test_kink_after_a_jump_of_the_same_control() -> None:
@@ -237,6 +225,15 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     controls = _ControlFit(smooth, [])
     controls.choose_control_interpolation(smooth, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(controls(at, at)[0], at**3, atol=1e-12)
+
+
+def test_smooth_controls_beside_others_at_rounding_level() -> None:
+    """Errors of idle states select no interpolant."""
+    t, noise = np.linspace(0.0, 3.0, 13), 1e-30 * np.random.default_rng(3).uniform(size=(2, 13))
+    samples = SampledPhase(t, np.array([np.sin(t), noise[0]]), np.array([np.cos(t), noise[1]]))
+    at = t[:-1] + 0.125
+    found = fit_trajectory_polynomials(samples, lambda t, x, u: u).u(at)[0]
+    np.testing.assert_allclose(found, np.cos(at), atol=3e-5)
 
 
 def test_controls_are_those_of_the_piece_in_whose_middle_they_are_asked() -> None:
