@@ -88,17 +88,10 @@ def _count_trajectory_variables(phases: Iterable[PhaseSolution]) -> int:
 class WorkBudget:
     """Limits of a search or of a part of it, and spent work, s of the reference processor.
 
-    Attributes
-    ----------
-    deadline, cpu_deadline : float
-        Limits of wall time (`time.perf_counter`) and CPU time of this thread (`time.thread_time`).
-    max_iterations : int, optional
-        Limit of all attempts of a solve together.
-    warm_iterations : int, optional
-        Iterations after which a start from a solution is repeated from its trajectory without multipliers. 0: start
-        from the trajectory. None: no repetition.
-    whole : WorkBudget, optional
-        Budget to which the work is added too.
+    The deadlines are those of wall time (`time.perf_counter`) and CPU time of this thread (`time.thread_time`);
+    ``max_iterations`` limits all attempts of a solve together. After ``warm_iterations``, a start from a solution is
+    repeated from its trajectory without multipliers (0: it starts from the trajectory; None: no repetition). The work
+    is added to the budget ``whole``, too.
     """
 
     total: float = math.inf

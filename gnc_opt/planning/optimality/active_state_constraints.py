@@ -396,11 +396,8 @@ class PureStateConstraints:
         scales = np.concatenate([s.state_scale, s.path_scale[pure]])
         values = np.vstack([x, s.functions.path_constraints(times, x, u)[pure]])
         at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
-        return cls(
-            np.concatenate([outward, -outward], axis=1),
-            np.vstack([drift, -drift]),
-            np.vstack([at_upper, at_lower]),
-        )
+        directions = np.concatenate([outward, -outward], axis=1)
+        return cls(directions, np.vstack([drift, -drift]), np.vstack([at_upper, at_lower]))
 
 
 def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:

@@ -278,19 +278,21 @@ def differentiate_linked_initial_states(
 
 def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
-    function = problem.memoize("end jacobians", lambda: _build_boundary_jacobian(problem))
+
+    def build_jacobian_function() -> Any:
+        ends = get_endpoint_value_function(problem)
+        inputs = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
+        column, states = (
+            ends(*inputs)[:-1],
+            [inputs[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)],
+        )
+        return ca.Function("end_jacobians", inputs[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
+
+    function = problem.memoize("end jacobians", build_jacobian_function)
     arguments = [value for phase in solution.phases.values() for value in phase.endpoint_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
-
-
-def _build_boundary_jacobian(problem: Problem) -> Any:
-    ends = get_endpoint_value_function(problem)
-    arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
-    column = ends(*arguments)[:-1]
-    states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
-    return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
 
 
 def _reshape_scale_for_time_series(scale: Array, values: Array) -> Array:

@@ -24,9 +24,7 @@ DISTANCES = 40
 """Number of distances of cells from a centre, from `EQUAL` to `NOTABLE` of the phase."""
 
 
-def find_sign_change_times(
-    function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
-) -> Array:
+def find_zero_times(function: Callable[[Array], Array], rows: Indices, left: Array, right: Array) -> Array:
     """Return times (n,) at which rows of a function (n_rows, n_times) change sign, or the midpoints."""
     from scipy.optimize.elementwise import find_root  # loads scipy.optimize
 
@@ -53,7 +51,7 @@ def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> A
     rows, places = np.nonzero(np.abs(np.diff(signs)) == 2)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    crossed = find_sign_change_times(evaluate_threshold_distances, rows, times[places], times[places + 1])
+    crossed = find_zero_times(evaluate_threshold_distances, rows, times[places], times[places + 1])
     found = np.concatenate([crossed, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))

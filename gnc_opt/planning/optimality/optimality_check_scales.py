@@ -288,18 +288,14 @@ def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples:
     for i in range(values.size):
         step = np.zeros(values.size)
         step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
-        slopes = [
-            _differentiate_lagrangian(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
-        ]
+        slopes = [_differentiate_lagrangian(solution, samples, values + k * step)[i] for k in (1, -1)]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
     return set_nonfinite_to_zero(bends)
 
 
-def _differentiate_lagrangian(
-    problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array
-) -> Array:
+def _differentiate_lagrangian(solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
     """Return the derivative of the Lagrangian in the parameters at other parameter values (n,)."""
-    ends = {}
+    problem, ends = solution.need_problem("verify"), {}
     slope = np.zeros(q.size)
     for s in samples:
         functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)

@@ -209,14 +209,8 @@ class SwitchUnknowns:
         free += list(~problem.get_parameter_bounds().is_fixed)
         cost_changes += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
-        return cls(
-            tuple(labels),
-            np.asarray(scale),
-            np.asarray(cost_changes),
-            places,
-            starts,
-            np.asarray(free, dtype=bool),
-        )
+        sizes = np.asarray(scale), np.asarray(cost_changes)
+        return cls(tuple(labels), *sizes, places, starts, np.asarray(free, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -276,23 +270,16 @@ class SwitchingTimeProblem:
         both = [values[:size] for flow, size in sizes for values in (flow.initial, flow.final_state)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
-        def evaluate_endpoint_derivatives(nu: Array) -> tuple[Array, ...]:
+        def evaluate_derivatives(nu: Array) -> tuple[Array, ...]:
             return tuple(v.full() for v in derivatives(*arguments, nu))
 
         n_constraints = solution.constraint_multipliers.size
-        slope, jacobian, _ = evaluate_endpoint_derivatives(np.zeros(n_constraints))
+        slope, jacobian, _ = evaluate_derivatives(np.zeros(n_constraints))
         of_ends = jacobian @ changes
         conditions = _collect_boundary_conditions(solution, samples, ends, unknowns, changes, of_ends)
         gradient = slope.ravel() @ changes
         return cls(
-            unknowns,
-            gradient,
-            conditions,
-            samples,
-            flows,
-            evaluate_endpoint_derivatives,
-            changes,
-            n_constraints,
+            unknowns, gradient, conditions, samples, flows, evaluate_derivatives, changes, n_constraints
         )
 
     @property

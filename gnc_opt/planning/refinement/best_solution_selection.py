@@ -100,7 +100,7 @@ class Candidate:
         left = () if self.verdict_if_checked is None else self.verdict_if_checked.open_conditions
         return bool(left) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in left)
 
-    def is_objective_error_small(self, tol: float) -> bool:
+    def is_cost_accurate(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_local_error <= LOCAL_ERROR_RATIO * tol:
             return False
@@ -214,7 +214,7 @@ def _choose_refinement_status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.largest_local_error <= tol or best.is_objective_error_small(tol):
+        if best.largest_local_error <= tol or best.is_cost_accurate(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
     if best.largest_local_error <= tol:

@@ -324,18 +324,13 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
                 u = phase.applied.evaluate_clipped_polynomial(times)
                 u[i] = level
                 slopes = gradient(times, phase.x(times), u, phase.lam(times), phase.path_multiplier(times))[i]
-                roots = _find_zero_crossings(slopes * (scale / samples.hamiltonian_scale), times)
-                found += [Kink(t - margin, t + margin) for t in roots]
+                values = slopes * (scale / samples.hamiltonian_scale)
+                if np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE:
+                    before = find_sign_changes(values)
+                    share = values[before] / (values[before] - values[before + 1])
+                    roots = times[before] + share * (times[before + 1] - times[before])
+                    found += [Kink(float(t - margin), float(t + margin)) for t in roots]
     return found
-
-
-def _find_zero_crossings(values: Array, times: Array) -> list[float]:
-    """Return the zeros of a switching function (relative to H) by linear interpolation of its samples."""
-    before = find_sign_changes(values)
-    if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
-        return []
-    share = values[before] / (values[before] - values[before + 1])
-    return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
 
 
 def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:

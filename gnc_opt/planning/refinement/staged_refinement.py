@@ -187,9 +187,7 @@ class StagedRefinement:
     def _record_candidate_solution(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
         solved = [c for c in self.candidates if c.is_solved]
-        accurate = [
-            c for c in solved if c.largest_local_error <= self.tol or c.is_objective_error_small(self.tol)
-        ]
+        accurate = [c for c in solved if c.largest_local_error <= self.tol or c.is_cost_accurate(self.tol)]
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
         self.budget.limit_work_to_completing_solution(bool(lowest))
 
@@ -205,7 +203,7 @@ class StagedRefinement:
         if not candidate.is_solved:
             return False
         if not self.check:
-            return candidate.is_objective_error_small(self.tol) and not candidate.is_false_extremal
+            return candidate.is_cost_accurate(self.tol) and not candidate.is_false_extremal
         has_final_arcs = bool(candidate.solution.structure) and candidate.history.converged
         return (candidate.largest_local_error <= self.tol or has_final_arcs) and candidate.verdict.ok
 
@@ -241,7 +239,7 @@ class StagedRefinement:
             yield from self._solve_with_arcs(first.solution, f"{first.stage}, switching times", found)
         if first is self._first:
             yield first
-        if not arcs or first.is_objective_error_small(self.tol):
+        if not arcs or first.is_cost_accurate(self.tol):
             yield from self._refine_mesh_by_hp(first.solution, STAGE_MAX_SHARE, f"{first.stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
@@ -331,7 +329,7 @@ class StagedRefinement:
     def _solve_with_adaptive_barrier(self, start: Candidate, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
         options = self.options or SolverOptions()
-        if any(c.is_objective_error_small(self.tol) for c in self.candidates):
+        if any(c.is_cost_accurate(self.tol) for c in self.candidates):
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None

@@ -115,12 +115,8 @@ def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Soluti
     if len(known.phases) != 1:
         return known
     ((name, phase),) = known.phases.items()
-    begins = problem.phases[name].numbers.initial_time
-    if (
-        begins is None
-        or not begins.is_fixed[0]
-        or not phase.initial_time < begins.lower[0] < phase.final_time
-    ):
+    begins, first, last = problem.phases[name].numbers.initial_time, phase.initial_time, phase.final_time
+    if begins is None or not begins.is_fixed[0] or not first < begins.lower[0] < last:
         return known
     rest = truncate_phase_to_start_time(phase, float(begins.lower[0]))
     return replace(known, phases={name: rest}, structure=())

@@ -168,16 +168,11 @@ class PhaseCostates:
 
     @classmethod
     def from_multipliers(
-        cls,
-        collocation: PhaseCollocation,
-        iterate: NlpIterate,
-        weights: Array,
-        gradient: Array,
-        path_push: Array,
+        cls, collocation: PhaseCollocation, iterate: NlpIterate, weights: Array, gradient: Array, push: Array
     ) -> PhaseCostates:
         """Return the costates and state bound multipliers of a phase.
 
-        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``path_push`` the contribution of pure state path
+        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``push`` the contribution of pure state path
         constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
@@ -187,12 +182,12 @@ class PhaseCostates:
         densities = np.where(shared, 0.0, multipliers)
         # At the end of a phase a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
-        pull = gradient - np.where(at_break, path_push, 0.0) + densities
+        pull = gradient - np.where(at_break, push, 0.0) + densities
         start, end = _compute_boundary_costates(collocation, lam_g, weights * pull)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
         lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
-        pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
+        pushed = bounded | (np.abs(push) * lengths > NEGLIGIBLE * size)
         held = _mask_segments_with_multipliers(collocation, pushed, shared)
         segments = range(collocation.mesh.segments)
         spreads = [np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in segments]

@@ -65,7 +65,10 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
         scale = max(scale, NEGLIGIBLE * s.cost_scale)
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
             defects = np.abs(_compute_cost_of_segment_defects(s))
-            infeasibility += np.sum(defects + _compute_cost_of_constraint_violations(s))
+            paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
+            excess = _weight_violations(s, paths, s.leg.path_bounds, s.mu)
+            excess += _weight_violations(s, s.x, s.leg.state_bounds, s.state_multiplier)
+            infeasibility += np.sum(defects + excess)
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
     return ObjectiveError(float(found[0]), float(found[1]), scale)
@@ -84,15 +87,8 @@ def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     return total
 
 
-def _compute_cost_of_constraint_violations(s: PhaseSamples) -> Array:
-    """Return o of each segment (K,)."""
-    of_states = _weight_violations(s, s.x, s.leg.state_bounds, s.state_multiplier)
-    paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
-    return of_states + _weight_violations(s, paths, s.leg.path_bounds, s.mu)
-
-
 def _weight_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
-    """Return exceeded limits times their multipliers, if these have the correct sign (K,).
+    """Return o of each segment (K,): exceeded limits times their multipliers, if these have the correct sign.
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
     """

@@ -296,7 +296,7 @@ def list_iterate_violations(
     if result.status is Status.UNBOUNDED:
         special = _find_unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
-        special = _find_nonfinite_functions(problem, phases, parameters)
+        special = _find_nonfinite(problem, phases, parameters)
     rows = _find_violated_constraint_rows(transcription, problem, result, scaling)
     return (*special, *rows)[:_LISTED_VIOLATIONS]
 
@@ -325,9 +325,7 @@ def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> li
     return list(largest.values())
 
 
-def _find_nonfinite_functions(
-    problem: Problem, phases: dict[str, PhaseSolution], parameters: Array
-) -> list[Violation]:
+def _find_nonfinite(problem: Problem, phases: dict[str, PhaseSolution], parameters: Array) -> list[Violation]:
     found = []
     for name, phase in phases.items():
         times = phase.point_times

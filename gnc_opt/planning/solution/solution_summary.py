@@ -25,7 +25,7 @@ BETTER_COARSE_SOLVE = "also seen"
 MOVED_START = "start"
 """Key of the provenance: initial states that were moved to a bound."""
 
-_LOADED_CHECK = {
+_LOADED_CHECK: dict[RefinementStatus | None, str] = {
     RefinementStatus.CONVERGED: "passed at the end of the refinement",
     RefinementStatus.CONDITIONS_FAIL: "FAILED at the end of the refinement",
 }
@@ -118,14 +118,6 @@ def format_objective(solution: SolutionLike) -> str:
     return value if accuracy is None else f"{value} ± {accuracy.objective_error:.1g}"
 
 
-def format_optimality(solution: SolutionLike) -> str:
-    """Return the result of the optimality check in words."""
-    if solution.verdict is not None:
-        return str(solution.verdict.headline)
-    unknown = "not checked: call verify()"
-    return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
-
-
 def _format_summary_headline(solution: SolutionLike) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
@@ -151,9 +143,12 @@ def _summarise_optimality(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the result of the optimality check, the first condition that does not pass, and missing bounds."""
     if not solution.status.solved:
         return
-    yield "optimality", format_optimality(solution)
     if solution.verdict is None:
+        unknown = "not checked: call verify()"
+        status = None if solution.history is None else solution.history.status
+        yield "optimality", _LOADED_CHECK.get(status, unknown)
         return
+    yield "optimality", solution.verdict.headline
     for c in solution.verdict.open_conditions[:1]:
         size = f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e})"
         yield _RESULT_LABELS[c.result], f"{size} at {c.location_text}"

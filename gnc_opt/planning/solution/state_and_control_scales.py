@@ -92,9 +92,7 @@ def compute_state_scales(
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
-    return _replace_zero_scales_by_fallbacks(
-        spans, *(box.interval_width_or_zero for box in boxes), size, np.ones(size.size)
-    )
+    return _replace_zeros(spans, *(box.interval_width_or_zero for box in boxes), size, np.ones(size.size))
 
 
 def compute_control_scales(
@@ -127,7 +125,7 @@ def compute_control_scales(
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = take_largest_variable_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
     spans = np.where(spans > ROUNDING, spans, extent)
-    return _replace_zero_scales_by_fallbacks(spans, replace_tiny_by_one(size))
+    return _replace_zeros(spans, replace_tiny_by_one(size))
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
@@ -182,7 +180,7 @@ def take_largest_variable_component(values: Array, layout: Layout) -> Array:
     return values
 
 
-def _replace_zero_scales_by_fallbacks(values: Array, *others: Array) -> Array:
+def _replace_zeros(values: Array, *others: Array) -> Array:
     for other in others:
         values = np.where(values > 0, values, other)
     return values

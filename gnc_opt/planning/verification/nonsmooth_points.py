@@ -15,7 +15,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, replace_tiny_by_one
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
@@ -196,7 +196,7 @@ def _find_jump_of_state_rates(
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    at = find_sign_change_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
+    at = find_zero_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
     sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale

@@ -131,7 +131,7 @@ def test_status_at_the_end_of_a_refinement() -> None:
     ) -> Any:
         best = fake(
             largest_local_error=error,
-            is_objective_error_small=lambda tol: given.get("within", False),
+            is_cost_accurate=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
         )
         verdict = None if ok is None else fake(ok=ok)

@@ -26,7 +26,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
 from gnc_opt.planning.refinement.arcs import structure_update as f
@@ -141,7 +141,7 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
     def at(values: Callable[[Array], Array], left: float, right: float) -> float:
         ends = np.array([left]), np.array([right])
-        return float(find_sign_change_times(lambda t: values(t)[None], np.array([0]), *ends)[0])
+        return float(find_zero_times(lambda t: values(t)[None], np.array([0]), *ends)[0])
 
     assert all(at(lambda t, s=s: s * (t - 0.3), 0.0, 1.0) == pytest.approx(0.3, abs=1e-14) for s in (-1, 1))
     assert at(lambda t: t + 1, 0.0, 1.0) == 0.5 and at(lambda t: -t - 1, 2.0, 4.0) == 3.0

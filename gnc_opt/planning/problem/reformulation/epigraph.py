@@ -58,14 +58,12 @@ def find_cost_kinks(problem: ProblemData, phase: Phase, domain: SymbolRanges) ->
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def find_convex_kinks(
-    expression: Any, nodes: list[Any], sense: int, domain: SymbolRanges
-) -> Iterator[Extremum]:
+def find_convex_kinks(scalar: Any, nodes: list[Any], sense: int, domain: SymbolRanges) -> Iterator[Extremum]:
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
-    for node, direction in zip(nodes, domain.compute_monotonicity_signs(expression, nodes), strict=True):
+    for node, direction in zip(nodes, domain.compute_monotonicity_signs(scalar, nodes), strict=True):
         own = sense * direction
         kink = Extremum(node, own, (find_max_or_min_arguments(node, own, domain) if own else None) or [])
-        if len(kink.pieces) > 1 and not _is_kink_smoothed(expression, kink):
+        if len(kink.pieces) > 1 and not _is_kink_smoothed(scalar, kink):
             yield kink
 
 

@@ -68,7 +68,7 @@ def find_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstit
     if names is not None:
         return NormSubstitution.from_phase(phase, names)
     unit = next(_find_unit_vectors(phase), None)
-    return None if unit is None else UnitVectorSubstitution.replace_unit_vector_and_magnitude(phase, *unit)
+    return None if unit is None else UnitVectorSubstitution.from_unit_vector(phase, *unit)
 
 
 def index_control_symbols(phase: Phase) -> dict[int, int]:
@@ -230,11 +230,7 @@ class NormSubstitution(ReformulatedPhase):
         if found.labels:
             text += f", whose magnitude {' and '.join(map(repr, found.labels))} limit{'s' * (len(found.labels) == 1)}"
         return cls(
-            old.express_in_other_controls(
-                controls,
-                composed,
-                substitute_norm,
-            ),
+            old.express_in_other_controls(controls, composed, substitute_norm),
             paths | {label: phase.paths[label] for label in lengths},
             {name: (symbol, substitute_norm(e)) for name, (symbol, e) in phase.integrands.items()},
             ControlMap(old, vector, product, ca.vertcat(*values), (text,)),
@@ -394,9 +390,7 @@ class UnitVectorSubstitution(ReformulatedPhase):
     control: VectorControl
 
     @classmethod
-    def replace_unit_vector_and_magnitude(
-        cls, phase: Phase, name: str, magnitude: str, label: str
-    ) -> UnitVectorSubstitution:
+    def from_unit_vector(cls, phase: Phase, name: str, magnitude: str, label: str) -> UnitVectorSubstitution:
         """Return the form of a phase for a unit vector, its magnitude, and the path constraint on its length."""
         old, vector = phase.model, ca.SX(phase.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]

@@ -49,14 +49,9 @@ ARC_OVERLAP_SHARE = 0.9
 class SubarcMesh:
     """Segments of a subarc and their collocation degree.
 
-    Attributes
-    ----------
-    smooth : int
-        Degree of the polynomials of singular controls over the whole subarc; 0: no polynomials.
-    gradient : float
-        Largest dH/du along the subarc with the previous degree; see `raise_control_degree`.
-    edges : tuple of float
-        Inner segment boundaries as fractions of the subarc; empty: segments of equal length.
+    ``smooth`` is the degree of the polynomials of singular controls over the whole subarc (0: no polynomials),
+    ``gradient`` the largest dH/du with the previous one; ``edges`` are inner segment boundaries as fractions of the
+    subarc (empty: segments of equal length).
     """
 
     segments: int = 1
@@ -118,14 +113,10 @@ class SubarcMesh:
 class ArcMesh:
     """Structure and resolution of one phase, one `SubarcMesh` per subarc.
 
-    Attributes
-    ----------
-    points : float
-        Collocation points of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
-        detected. Subarcs of a fine mesh start finer: otherwise oscillations much shorter than a subarc are aliased.
-    loose : bool
-        Whether state constraints are also released next to their touch points, so that the interior-point barrier does
-        not affect the solution there; without limits, a structure that lacks a contact may have no solution.
+    ``points`` are those of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
+    detected. Subarcs of a fine mesh start finer: otherwise oscillations much shorter than a subarc are aliased. With
+    ``loose``, state constraints are also released next to their touch points, so that the interior-point barrier does
+    not affect the solution there; without limits, a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure

@@ -37,20 +37,11 @@ class PhaseStructure:
     bound, INTERIOR off their bounds, or SINGULAR, if H is linear in them; the other rows are at an active limit or
     INTERIOR.
 
-    Attributes
-    ----------
-    times : tuple of A + 1 floats
-    kinds : tuple of A tuples of ArcKind
-    regular : tuple of bool
-        For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
-        constraint) with kinks instead of jumps.
-    orders : tuple of int
-        For each row, the order of the state constraint if its contacts are detected, otherwise 0.
-    touches : tuple of A + 1 tuples of Touch
-        Touches of state constraints at each of the times.
-    effects : tuple of tuples of ControlEffect
-        For each row with an order, each mixed path constraint and each one linear in one control: the controls that can
-        keep it on its limit, the most effective ones first, with the signs of their effects.
+    For each row, ``regular`` is whether H is convex in the control, so that it enters and leaves bounds (or the mixed
+    path constraint) with kinks instead of jumps, and ``orders`` the order of the state constraint if its contacts are
+    detected, otherwise 0. ``touches`` are those of state constraints at each of the times. For each row with an order,
+    each mixed path constraint and each one linear in one control, ``effects`` are the controls that can keep it on its
+    limit, the most effective ones first, with the signs of their effects.
     """
 
     times: tuple[float, ...]
@@ -173,7 +164,9 @@ class PhaseStructure:
         the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
         rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
-        states = [i for i in rows if self.is_first_order_state_constraint(i)]
+        bounds = [i for i in rows if i >= self.n_controls + self.n_paths and self.boundary_arc_controls[i]]
+        # First-order state constraints, and bounds on states that singular controls move.
+        states = [i for i in rows if self.orders[i] == 1 or (i in bounds and not self.orders[i])]
         if len(rows) != 2 or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -194,11 +187,6 @@ class PhaseStructure:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
-
-    def is_first_order_state_constraint(self, row: int) -> bool:
-        """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
-        moved = bool(self.boundary_arc_controls[row]) and not self.orders[row]
-        return self.orders[row] == 1 or (moved and row >= self.n_controls + self.n_paths)
 
     def mask_rows_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""

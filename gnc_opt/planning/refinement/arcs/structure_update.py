@@ -24,7 +24,7 @@ from gnc_opt.numerical_tolerances import (
     TINY,
 )
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (
@@ -63,7 +63,7 @@ def correct_arc_structure(
     for correct in (
         _remove_zero_length_subarc,
         add_missing_contact,
-        _insert_saturated_control_arc,
+        _insert_saturated_arc,
         replace_saturated_arc_controls,
     ):
         for name, c in constraints.items():
@@ -165,7 +165,7 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Corre
     return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
-def _insert_saturated_control_arc(constraints: StateConstraints, plan: ArcMesh) -> Correction:
+def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
     A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
@@ -289,7 +289,7 @@ def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: i
             return float(times[-1])
         if over[0]:
             k, rows = int(np.argmin(over)), np.array([row])
-            at = find_sign_change_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
+            at = find_zero_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
             return float(at[0])
     return plan.structure.times[boundary]
 

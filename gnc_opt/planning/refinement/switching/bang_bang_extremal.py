@@ -89,7 +89,7 @@ def compute_newton_step(
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
     gain = float(gradient @ change)
-    return ends.build_switching_time_step(change, gain, adjoint, multipliers, (hessian, rows), steps)
+    return ends.build_switching_time_step(change, gain, adjoint, multipliers, steps, hessian, rows)
 
 
 def compute_simplified_newton_step(
@@ -115,7 +115,7 @@ def compute_simplified_newton_step(
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = float((gradient - known.rows.T @ known.multipliers) @ change)
     matrices = known.hessian, known.rows
-    return ends.build_switching_time_step(change, gain, adjoint, multipliers, matrices, steps)
+    return ends.build_switching_time_step(change, gain, adjoint, multipliers, steps, *matrices)
 
 
 class _EndConditions:
@@ -165,18 +165,13 @@ class _EndConditions:
         return adjoint, slope, curvature
 
     def build_switching_time_step(
-        self,
-        change: Array,
-        gain: float,
-        adjoint: Array,
-        multipliers: Array,
-        matrices: tuple[Array, Array],
-        steps: int,
+        self, change: Array, gain: float, adjoint: Array, multipliers: Array, steps: int, *matrices: Array
     ) -> SwitchStep:
         """Return the step for changes of the free unknowns and of the cost; ``matrices`` are Hessian and gradients."""
         spread, relative = np.zeros(self.free.size), abs(gain) / max(abs(self.cost), TINY)
         spread[self.free] = change
-        return SwitchStep(spread, self.flow, adjoint, multipliers, self.cost, relative, *matrices, steps)
+        hessian, rows = matrices
+        return SwitchStep(spread, self.flow, adjoint, multipliers, self.cost, relative, hessian, rows, steps)
 
 
 def are_gradients_independent(rows: Array) -> bool:
