@@ -50,11 +50,9 @@ ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FA
 """Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
 
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
-"""Statuses after which the constraints are solved without the cost from several initial points.
-
-A cost, above all of a free final time, can drive the iterates to points where the constraint violation is stationary;
-the solver then reports infeasibility of a feasible problem. Without the cost this is rare. With fixed durations many
-problems are nearly linear. Too short durations are the most frequent cause, so that longer ones are tried."""
+"""Statuses after which the constraints are solved without the cost from several initial points: a cost, above all of a
+free final time, can drive the iterates to points where the constraint violation is stationary. Too short durations are
+the most frequent cause, so that longer ones are tried."""
 
 UNEXPLAINED = (*ROUNDING[1:], Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
 """Statuses that are no property of the problem."""

@@ -135,11 +135,6 @@ def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
-def find_largest_collocation_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
-    worst = max(errors.values(), key=lambda e: float(np.max(e.largest_segment_errors)))
-    return float(np.max(worst.largest_segment_errors)), worst.largest_error_location
-
-
 def _compute_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
     """Return the violation of bounds at the samples, including peaks between samples."""
     below = _interpolate_local_maxima(bounds.lower[:, None] - values, times)
@@ -171,12 +166,13 @@ def record_iteration(
     solution: Solution, begin: float, actions: Actions | str, errors: Mapping[str, PhaseError] | None = None
 ) -> RefinementIteration:
     """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
-    error, where = find_largest_collocation_error(errors or estimate_segment_errors(solution))
+    found = (errors or estimate_segment_errors(solution)).values()
+    worst = max(found, key=lambda e: float(np.max(e.largest_segment_errors)))
     return RefinementIteration(
         meshes={name: phase.mesh for name, phase in solution.phases.items()},
         times={name: tuple(float(t) for t in phase.breaks) for name, phase in solution.phases.items()},
-        error=error,
-        where=where,
+        error=float(np.max(worst.largest_segment_errors)),
+        where=worst.largest_error_location,
         objective=solution.objective,
         solved=solution.status.solved,
         iterations=solution.statistics.iterations,

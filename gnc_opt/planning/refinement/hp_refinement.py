@@ -299,9 +299,8 @@ def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink
     ``active`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
     """
     found = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, active)
-    found.sort(key=lambda kink: kink.start)
     merged: list[Kink] = []
-    for kink in found:
+    for kink in sorted(found, key=lambda kink: kink.start):
         if merged and kink.start <= merged[-1].end:
             merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
         else:

@@ -161,9 +161,8 @@ class ArcMesh:
     def extend_mesh_by_one_arc(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc, which hardly changes other subarcs."""
         plan, kept = self.replace_control_structure(structure), list[SubarcMesh]()
-        for own, left, right, new in zip(
-            structure.kinds, structure.times[:-1], structure.times[1:], plan.resolutions, strict=True
-        ):
+        subarcs = zip(structure.kinds, itertools.pairwise(structure.times), plan.resolutions, strict=True)
+        for own, (left, right), new in subarcs:
             for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
                 least = ARC_OVERLAP_SHARE * max(right - left, end - begin)
                 if self.structure.kinds[k] == own and min(right, end) - max(left, begin) > least:
