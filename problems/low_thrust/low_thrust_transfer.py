@@ -20,7 +20,8 @@ With :math:`q = 1 + f \cos L + g \sin L`, :math:`z = h \sin L - k \cos L` and th
 
 J2 to J4 of the Earth act besides the thrust. Maximise w at the end, on an orbit of given size, shape and inclination.
 
-J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, SIAM 2010, section 6.3.
+Source: J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, SIAM 2010,
+section 6.3.
 """
 
 from __future__ import annotations
