@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
 import griffe
 
+DOCS = Path(__file__).parents[1] / "docs"
+
 _BLOCK = re.compile(r"^([ \t]*)\.\. math::(.*(?:\n(?:\1[ \t]+\S.*|[ \t]*(?=\n\1[ \t]+\S)))*)", re.MULTILINE)
 _INLINE = re.compile(r":math:`([^`]+)`")
+_PAGE = re.compile(r"``docs/([\w/]+\.md)``")
 _UNDERLINED = re.compile(r"^([A-Z]\w*(?: \w+)?)\n-{3,}$", re.MULTILINE)
 _PARAMETERS = re.compile(r"^Parameters\n-+\n.*?(?=^\w[\w ]*\n-{3,}\n|\Z)", re.DOTALL | re.MULTILINE)
 _SEVERAL = re.compile(r"^(\w+(?:, \w+)+)\n((?:    .*(?:\n|\Z)|\n(?=    ))+)", re.MULTILINE)
@@ -30,8 +34,13 @@ def dollars(text: str) -> str:
 
 
 def module_page(docstring: str) -> str:
-    """Return the docstring of a module as Markdown; its headings are no headings of the page."""
-    return _UNDERLINED.sub(r"**\1**\n", dollars(docstring))
+    """Return the docstring of a module as Markdown, with links to pages; its headings are no headings of the page."""
+
+    def link(found: re.Match[str]) -> str:
+        title = (DOCS / found[1]).read_text(encoding="utf-8").partition("\n")[0]
+        return f"[{title.removeprefix('# ').partition(':')[0]}](../{found[1]})"
+
+    return _PAGE.sub(link, _UNDERLINED.sub(r"**\1**\n", dollars(docstring)))
 
 
 def separate_parameters(docstring: str) -> str:

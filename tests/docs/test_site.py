@@ -250,6 +250,7 @@ def test_modules_of_the_reference_have_titles() -> None:
     headings = re.findall(r"(?m)^## (.+)$", "\n".join(api.pages().values()))
     assert all(heading[0] == "[" or heading[0].isupper() for heading in headings)
     assert not [page for page, text in api.pages().items() if "docs/" in text]  # a folder that readers lack
+    assert "[Mesh refinement](../refinement.md)" in api.pages()["api/gnc_opt.planning.solution.md"]
     assert not re.findall(
         r"(?m)^\| \[.*\| *\|$", "\n".join(api.pages().values())
     )  # names without a description
