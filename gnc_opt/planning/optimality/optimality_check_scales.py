@@ -1,9 +1,9 @@
 r"""Reference magnitudes of the optimality check: control deviation, reach of the states, cost scale.
 
 Every quantity that the check compares with its tolerance is a displacement, a gradient or a change of cost. It is
-divided by the value that control variations of the size of the applied controls cause. The page "Optimality check"
-has the equations and their source ("Scales and measures"): deviations :math:`\Delta_k`, the reach as the ellipsoid of
-the controllability Gramian W, and the cost scale C. Without controls, C contains
+divided by the value that control variations of the size of the applied controls cause. The section "Scales and
+measures" of ``docs/verdict.md`` has the equations and their source: deviations :math:`\Delta_k`, the reach as the
+ellipsoid of the controllability Gramian W, and the cost scale C. Without controls, C contains
 :math:`\tfrac12 \sum_i |J_{p_i p_i}| p_i^2` of the free parameters.
 
 The measures do not depend on units, origins, moving frames, mixtures of states, ranges or constants in the cost.

@@ -1,6 +1,6 @@
 """Sequence of solves for an accurate solution that passes the optimality check.
 
-The page "Mesh refinement" lists the stages. Every converged solution is a `Candidate`. The first one that passes the
+``docs/refinement.md`` lists the stages. Every converged solution is a `Candidate`. The first one that passes the
 optimality check with local errors within the tolerance is returned at once; without a check, the first one whose
 estimated error of the objective is within the tolerance. A solve with a lower cost than another one on the same mesh
 replaces it: the first stage is repeated from it, at most once each, and finer stages start from it. At the end, at

@@ -5,10 +5,11 @@ collocation. Limits are evaluated along that trajectory at Chebyshev points betw
 
 The error of the objective is its difference from the local optimum. Every segment contributes the effects d of defects
 and quadratures, o of limits exceeded between the points, and g of other controls on H (with path constraints, mu of the
-correct sign; exact if H is affine in a control, else one projected Newton step); equations: page "Mesh refinement",
-section "Estimated error of the objective". The estimate is :math:`A = \sum (|d| + o + |g|)`; errors cancel within a
-segment only, decreases of H by three quarters at most (beside a switch, the polynomial is beyond its bounds). To first
-order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001), no bound.
+correct sign; exact if H is affine in a control, else one projected Newton step). The section "Estimated error of the
+objective" of ``docs/refinement.md`` has the equations. The estimate is :math:`A = \sum (|d| + o + |g|)`; errors cancel
+within a segment only, decreases of H by three quarters at most (beside a switch, the polynomial is beyond its bounds).
+To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001),
+not a bound.
 """
 
 from __future__ import annotations

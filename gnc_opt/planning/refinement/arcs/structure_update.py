@@ -1,7 +1,7 @@
 """Corrections of a control structure by its solution: arcs removed, added or moved, subarcs refined.
 
 The time of a kink, where a control with strictly convex H enters or leaves a bound or a mixed path constraint, is fixed
-during a solve ("Kinks" on the page "Mesh refinement"). The control is fixed on one side and *unbounded* on the
+during a solve ("Kinks" in ``docs/refinement.md``). The control is fixed on one side and *unbounded* on the
 other. The kink then moves to the time at which the control of the interior arc meets the bound (bound arc too short) or
 the switching function along the bound arc changes sign (bound arc too long). This iteration converges quadratically.
 """

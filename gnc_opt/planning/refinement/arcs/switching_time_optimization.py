@@ -1,4 +1,4 @@
-"""Optimisation of switching times with an iteration on the control structure; steps: page "Mesh refinement".
+"""Optimisation of switching times with an iteration on the control structure; steps: ``docs/refinement.md``.
 
 If several controls change at one time, not all from bound to bound, the multipliers are not unique. They become unique
 if the controls are free in short intervals on both sides of the time; that program has a warm start.
