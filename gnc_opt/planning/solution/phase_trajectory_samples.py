@@ -12,6 +12,7 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.numerical_tolerances import (
     AT_LIMIT,
     GONE,
+    MAGNITUDE_FLOOR,
     NEGLIGIBLE,
     NOTABLE,
     SHORTEST,
@@ -23,6 +24,7 @@ from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.state_and_control_scales import (
+    FAR_LIMIT_RATIO,
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     compute_control_scales,
@@ -319,8 +321,9 @@ class PhaseSamples:
 
     @cached_property
     def control_scale(self) -> Array:
-        """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
+        """Range of each control, or its variation if a limit is far away; its magnitude without limits (m,)."""
         span, reach = self.leg.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
+        span = np.where(span > FAR_LIMIT_RATIO * self.control_span, self.control_span, span)
         return np.where(span > 0, span, replace_tiny_by_one(reach))
 
     @cached_property
@@ -373,8 +376,8 @@ class PhaseSamples:
         phase, first, last = self.leg, self.leg.initial_time_bounds, self.leg.final_time_bounds
         least = max(phase.duration_bounds.lower[0], last.lower[0] - first.upper[0])
         most = min(phase.duration_bounds.upper[0], last.upper[0] - first.lower[0])
-        near = AT_LIMIT * most if np.isfinite(most) else 0.0
-        return bool(least > 0 or phase.duration > max(near, SHORTEST))
+        near = min(AT_LIMIT * most, MAGNITUDE_FLOOR) if np.isfinite(most) else SHORTEST
+        return bool(least > 0 or phase.duration > near)
 
     @cached_property
     def pure_state_constraints(self) -> Indices:

@@ -78,6 +78,11 @@ SPAN_MIN_SHARE = 1e-7
 """Smallest scale, as a share of the magnitude: with the tolerance 1e-5 it gives 1e-12, the rounding level."""
 
 
+FAR_LIMIT_RATIO, INACTIVE_RANGE_RATIO = 1e3, 10.0
+"""Ratios of a control's range to its variation above which the range is not a scale, since a limit is far away: for
+distances to limits, and for the variation of an inactive control."""
+
+
 def compute_state_scales(
     phase: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
 ) -> Array:
@@ -102,22 +107,24 @@ def compute_control_scales(
 
     ``applied``, ``pull``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and d2H/du2.
     A constant control has the scale pull / curvature; without it and a range, the control required for the motion
-    (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a range
-    the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
+    (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
+    limit the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
     extent, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
     moved = np.ptp(applied, axis=1) if applied.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
     spans = np.fmax(moved, pulled)
-    ranged = np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent)
-    spans = np.where(extent > 0, ranged, spans)
+    idle = (extent > 0) & (spans <= NEGLIGIBLE * extent)
+    spans = np.where(idle & (most == 0), extent, np.where(extent > 0, np.minimum(spans, extent), spans))
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     spans = take_largest_variable_component(spans, phase.controls)
     cost = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
+    known = replace_tiny_by_one(np.fmax(alike, size))
+    alike = np.where(idle, np.where(extent > INACTIVE_RANGE_RATIO * known, known, extent), alike)
     spans = np.where(spans > NEGLIGIBLE * alike, spans, alike)
     spans = take_largest_variable_component(spans, phase.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)

@@ -192,22 +192,28 @@ def _compute_limit_distances(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_value_changes(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_value_changes(s, scales, *at, SMALL)[rows, np.arange(rows.size)]
     reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_value_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
-    """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
+def compute_path_value_changes(
+    s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array, least: float = 1.0
+) -> Array:
+    """Return changes of path constraints (n_paths, n_times) by deviations of states and controls, of these at least the
+    share ``least`` of the largest."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
     by_state = np.moveaxis(by_state, 1, 0)
     moved = own.along.support_function((by_state.T * own.along.reached).T)
     moved = np.where(moved > 0, moved, own.along.support_function(by_state))
-    deviation = np.max(own.deviation, axis=1)[:, None]
+    most = np.max(own.deviation, axis=1)[:, None]
+    deviation = np.maximum(sample_control_deviations(s, scales, times), least * most)
+    for vector in s.leg.vector_controls:  # directions have length 1 at all times
+        deviation[s.leg.controls.slice(vector.direction)] = most[s.leg.controls.slice(vector.direction)]
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
 
 

@@ -285,23 +285,31 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
-def _find_direction_of_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
+def _find_direction_of_least_curvature(
+    space: NullSpace, hessian: Any, steep: bool = True, shift: float = SHIFT
+) -> Array | None:
     """Return the direction of smallest curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
     if n == 0:
         return None
     if steep and (found := _find_negative_curvature_direction(space, hessian)) is not None:
         return found
-    inverse = space.invert_projected_hessian(hessian + SHIFT * scipy.sparse.eye_array(n))
+    inverse = space.invert_projected_hessian(hessian + shift * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
-    if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:
+    if not values.size or np.max(np.abs(values)) * shift < NEGLIGIBLE:
         return None
     # 1 / (curvature + shift) is negative for curvatures below -shift, else largest for the smallest curvature.
     downwards = values < -NEGLIGIBLE * np.max(np.abs(values))
     chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
-    return np.asarray(direction / np.linalg.norm(direction))
+    direction = np.asarray(direction / np.linalg.norm(direction))
+    value = float(direction @ (hessian @ direction))
+    if NEGLIGIBLE < value < NOTABLE * shift:  # a negative curvature far below the shift is not distinguished
+        other = _find_direction_of_least_curvature(space, hessian, False, value)
+        if other is not None and other @ (hessian @ other) < 0:
+            return other
+    return direction
 
 
 def _find_negative_curvature_direction(space: NullSpace, hessian: Any) -> Array | None:

@@ -173,6 +173,20 @@ def test_a_narrow_range_is_left_by_shares_of_what_moves(kind: str, span: float) 
     assert condition.value == pytest.approx((top - span) / min(1.5, 100 * span), rel=1e-3)
 
 
+@pytest.mark.parametrize("peak", [1e3, 1e6])
+def test_a_limit_counts_in_shares_of_the_deviation_at_its_time(peak: float) -> None:
+    """u is ``peak`` for 3 ms at first, and 1.5 later, where 1 is allowed."""
+    t = np.union1d(np.linspace(0.0, 0.02, 241), np.linspace(0.0, 1.0, 81))
+    model, *_ = dynamics("clock", "x", "u", lambda x, u: {x: 1.0})
+    problem, leg = one_phase("spike", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    u, spike = model.symbol("u"), peak * ca.exp(-((model.time / 3e-3) ** 2))
+    leg.path("limit", u - 10 * spike, upper=1.0)
+    problem.minimize(leg.integral((u - spike - 1.5) ** 2 + 1))
+    verdict = go.verify_trajectory(problem, t, t[None], peak * np.exp(-((t / 3e-3) ** 2))[None] + 1.5)
+    assert verdict["limits"].result is go.ConditionResult.FAIL
+
+
 def test_what_no_state_can_restore_counts_in_shares_of_its_values() -> None:
     """A limit on time alone: 1 s where 0.9 is allowed."""
     model = double_integrator()

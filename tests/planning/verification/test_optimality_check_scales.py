@@ -740,7 +740,7 @@ def ridge(along: float, across: float, side: str, unit: float = 1.0, wide: float
         ("lower", 1.0, 2.0),
         ("upper", 1e6, 2.0),
         ("lower", 1e-3, 2.0),
-        ("upper", 1.0, 8.0),
+        ("upper", 1.0, 2.4),
     ],
 )
 def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(

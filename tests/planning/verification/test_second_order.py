@@ -17,7 +17,6 @@ from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
 from gnc_opt.planning.optimality.switching_time_problem import Switches, SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_why_not_bang_bang,
@@ -177,22 +176,6 @@ def test_a_slope_that_is_no_number_is_not_strict(
     assert check_strict_bang_bang_property([samples]).result is ConditionResult.FAIL
 
 
-def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None:
-    """Active constraints on states or paths, and controls between their bounds, are no switch-time problem."""
-    leg = refined.phase()
-    pushed = leg.state_multipliers.copy()
-    pushed[1, 3] = -1.0
-    between = tuple(0.5 * v for v in leg.u.values)
-    for wrong, reason in (
-        (replace(leg, state_multipliers=pushed), "a state bound is active"),
-        (
-            replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)),
-            "the control is between its limits",
-        ),
-    ):
-        assert why_inapplicable(replace(refined, phases={"leg": wrong})).endswith(reason)
-
-
 def why_inapplicable(solution: go.Solution) -> str:
     return explain_why_not_bang_bang(list(recompute_stored_data(solution).samples().values()))
 
@@ -281,30 +264,52 @@ def cart(problem: go.Problem) -> go.Phase:
     return leg
 
 
-def test_range_of_the_final_time_at_its_limit() -> None:
-    """From rest to rest in at most 2 s: 1 m, and the switch at 1 s leaves nothing to vary."""
-    problem = go.Problem("farthest")
-    leg = cart(problem)
+def test_ranges_of_the_final_time_and_of_an_initial_value_at_their_limits() -> None:
+    """From rest to rest in at most 2 s: 1 m. To the origin from 0.5 m to 1 m away and at rest: from 0.5 m, in 1 s."""
+    farthest, fastest = go.Problem("farthest"), go.Problem("start anywhere")
+    leg = cart(farthest)
     leg.time(0.0, (0.1, 2.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(v=0.0)
-    problem.maximize(leg.final_state("q"))
-    solution = go.solve(problem, tol=1e-8)
-    assert solution.objective == pytest.approx(1.0, abs=1e-8) and solution.structure
-    assert go.verify(solution).minimum
-
-
-def test_range_of_an_initial_value_at_its_limit() -> None:
-    """To the origin with any speed, from 0.5 m to 1 m away and at rest: from 0.5 m, in 1 s."""
-    problem = go.Problem("start anywhere")
-    leg = cart(problem)
+    farthest.maximize(leg.final_state("q"))
+    leg = cart(fastest)
     leg.time(0.0, (0.1, 10.0))
     leg.initial(q=(0.5, 1.0), v=0.0)
     leg.final(q=0.0, v=0.0)
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem, tol=1e-8)
-    assert solution.objective == pytest.approx(np.sqrt(2.0), abs=1e-8) and solution.structure
-    assert go.verify(solution).minimum
+    fastest.minimize(leg.final_time)
+    for problem, objective in ((farthest, 1.0), (fastest, np.sqrt(2.0))):
+        solution = go.solve(problem, tol=1e-8)
+        assert solution.objective == pytest.approx(objective, abs=1e-8) and solution.structure
+        assert go.verify(solution).minimum
+
+
+@pytest.mark.parametrize("far", [1e3, 1e9])
+@pytest.mark.parametrize(("share", "result"), [(0.9, ConditionResult.PASS), (1.1, ConditionResult.FAIL)])
+def test_far_limits_do_not_change_the_second_order(share: float, result: ConditionResult, far: float) -> None:
+    """The integral of u^2 - w^2 f(x) over 1 s is least for w < pi, with f = x^2 from x = 0 to 1, u 0.5 above its limit,
+    and with f = sin^2 x at rest."""
+    t, w = np.linspace(0.0, 1.0, 61)[None], share * np.pi
+    motion = np.sin(w * t) / np.sin(w), w * np.cos(w * t) / np.sin(w)
+    for (x, u), limits in ((motion, (np.min(motion[1]) - 0.5, far)), ((0 * t, 0 * t), (-far, far))):
+        model, state, control = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+        problem, leg = one_phase("oscillator", model, 0.0, 1.0)
+        leg.initial(x=0.0)
+        leg.final(x=x[0, -1])
+        leg.bounds(u=limits)
+        problem.minimize(leg.integral(control**2 - w**2 * (state if np.any(x) else ca.sin(state)) ** 2))
+        assert go.verify_trajectory(problem, t[0], x, u)["second order"].result is result
+
+
+@pytest.mark.parametrize(("share", "minimum"), [(1.0, True), (1.1, False)])
+def test_a_free_time_of_a_picosecond_is_not_zero(share: float, minimum: bool) -> None:
+    """x' = u from 0 to 1 at the cost 1 / T + T: the best T is 1."""
+    t = np.linspace(0.0, share * 1e-12, 21)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: 1e12 * u})
+    problem, leg = one_phase("picosecond", model, 0.0, (0.0, 1e-11))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2 + 1))
+    assert go.verify_trajectory(problem, t, t[None] / t[-1], 1 / share + 0 * t[None]).ok is minimum
 
 
 def switch_together(kappa: float, n: int = 2) -> go.Solution:
