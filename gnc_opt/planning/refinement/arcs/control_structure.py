@@ -37,11 +37,20 @@ class PhaseStructure:
     bound, INTERIOR off their bounds, or SINGULAR, if H is linear in them; the other rows are at an active limit or
     INTERIOR.
 
-    For each row, ``regular`` is whether H is convex in the control, so that it enters and leaves bounds (or the mixed
-    path constraint) with kinks instead of jumps, and ``orders`` the order of the state constraint if its contacts are
-    detected, otherwise 0. ``touches`` are those of state constraints at each of the times. For each row with an order,
-    each mixed path constraint and each one linear in one control, ``effects`` are the controls that can keep it on its
-    limit, the most effective ones first, with the signs of their effects.
+    Attributes
+    ----------
+    times : tuple of A + 1 floats
+    kinds : tuple of A tuples of ArcKind
+    regular : tuple of bool
+        For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
+        constraint) with kinks instead of jumps.
+    orders : tuple of int
+        For each row, the order of the state constraint if its contacts are detected, otherwise 0.
+    touches : tuple of A + 1 tuples of Touch
+        Touches of state constraints at each of the times.
+    effects : tuple of tuples of ControlEffect
+        For each row with an order, each mixed path constraint and each one linear in one control: the controls that can
+        keep it on its limit, the most effective ones first, with the signs of their effects.
     """
 
     times: tuple[float, ...]

@@ -114,8 +114,9 @@ def compute_simplified_newton_step(
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = float((gradient - known.rows.T @ known.multipliers) @ change)
-    matrices = known.hessian, known.rows
-    return ends.build_switching_time_step(change, gain, adjoint, multipliers, steps, *matrices)
+    return ends.build_switching_time_step(
+        change, gain, adjoint, multipliers, steps, known.hessian, known.rows
+    )
 
 
 class _EndConditions:
@@ -165,12 +166,18 @@ class _EndConditions:
         return adjoint, slope, curvature
 
     def build_switching_time_step(
-        self, change: Array, gain: float, adjoint: Array, multipliers: Array, steps: int, *matrices: Array
+        self,
+        change: Array,
+        gain: float,
+        adjoint: Array,
+        multipliers: Array,
+        steps: int,
+        hessian: Array,
+        rows: Array,
     ) -> SwitchStep:
-        """Return the step for changes of the free unknowns and of the cost; ``matrices`` are Hessian and gradients."""
+        """Return the step for changes of the free unknowns and of the cost; ``rows`` are gradients of conditions."""
         spread, relative = np.zeros(self.free.size), abs(gain) / max(abs(self.cost), TINY)
         spread[self.free] = change
-        hessian, rows = matrices
         return SwitchStep(spread, self.flow, adjoint, multipliers, self.cost, relative, hessian, rows, steps)
 
 
