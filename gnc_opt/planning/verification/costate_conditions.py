@@ -31,7 +31,6 @@ from gnc_opt.planning.optimality.active_state_constraints import (
     explain_transversality_residual,
     integrate_multipliers_near_boundaries,
 )
-from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -297,10 +296,9 @@ def check_parameter_stationarity(
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
+    scale = scales.parameters[:, None]
     violation = (
-        _compute_wrong_sign_multipliers(-left, values, box, compute_parameter_scales(solution))
-        * scales.parameters
-        / scales.cost
+        _compute_complementarity_products(-left[:, None], values[:, None], box, scale)[:, 0] / scales.cost
     )
     places = [f"parameter {label}" for label in solution.free_parameters.labels]
     return Worst.find_largest_value(violation, places.__getitem__)
