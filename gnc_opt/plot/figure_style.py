@@ -158,5 +158,6 @@ def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
     place["handlelength"] = 1.6 if sum(lengths) > 0.8 * _LEGEND_CHARACTERS else 2.6
     ax.legend(handles=list(handles.values()), ncols=max(columns, 1), columnspacing=1.2, **place)
-    axes_width = ax.get_position().width * ax.get_figure(root=True).get_figwidth()
+    figure = ax.get_figure()
+    axes_width = ax.get_position().width * figure.bbox.width / figure.dpi
     ax.yaxis.get_offset_text().set_x(-0.68 / axes_width)  # the power of ten is left of the legend
