@@ -274,9 +274,9 @@ def solve(
         if known is not None and known.builds is problem.builds and guess.status.solved:
             if in_a_loop:
                 tol = DEFAULT_TOLERANCE if guess.history is None else guess.history.tolerance
-            found = None if tol is None else _solve_variation(problem, guess, tol, in_a_loop)
+            found = None if tol is None else _solve_modified_problem(problem, guess, tol, in_a_loop)
         if found is None and tol is not None:
-            found = _restart_search(problem, guess, limits, tol=tol, check=check, progress=progress)
+            found = _restart_refinement(problem, guess, limits, tol=tol, check=check, progress=progress)
     if found is None:
         within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
         found = solve_problem_on_mesh(
@@ -301,7 +301,9 @@ def _record_solution_provenance(solution: Solution, key: str, text: str) -> Solu
     return noted.with_verdict(solution.verdict)
 
 
-def _solve_variation(problem: Problem, known: Solution, tol: float, in_a_loop: bool) -> Solution | None:
+def _solve_modified_problem(
+    problem: Problem, known: Solution, tol: float, in_a_loop: bool
+) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
     if in_a_loop:
         known_switches = KnownSwitches.from_solution(known)
@@ -318,7 +320,9 @@ def _has_solution_converged(found: Solution) -> bool:
     return found.history is not None and found.history.status in reached_by
 
 
-def _restart_search(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
+def _restart_refinement(
+    problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any
+) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
     budget, start = WorkBudget.start_work_budget(limits), truncate_solution_to_start_time(known, problem)
     settings |= {"mesh": restore_initial_refinement_meshes(known), "scheme": known.scheme, "throw": False}

@@ -273,7 +273,9 @@ class NullSpace:
     jacobian: Any
 
     @classmethod
-    def with_fixed(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
+    def with_fixed_variables(
+        cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None
+    ) -> NullSpace:
         """Return the space in which ``held`` (n_variables + n_constraints,) are fixed.
 
         ``unit`` (n_variables, n_variations) replaces one variation per variable; ``further`` are additional fixed rows.

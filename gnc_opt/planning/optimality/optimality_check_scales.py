@@ -155,7 +155,7 @@ class Scales:
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _compute_deviations(problem, solution, curvatures, cost)
+        parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             reach = compute_reachable_sets(columns)
@@ -269,7 +269,9 @@ def _compute_end_time_shift_cost(s: PhaseSamples, ends: EndPoints) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _compute_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
+def _compute_parameter_deviations(
+    problem: Problem, solution: Solution, curvatures: Array, cost: float
+) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
@@ -434,7 +436,9 @@ class EndPoints:
                 moves.append(self._expand_endpoint_displacements(change))
         return moves
 
-    def compute_end_differences(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
+    def compute_end_lagrangian_differences(
+        self, reach: Mapping[str, Reach], parameters: Array, step: float
+    ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
             self._list_end_displacements_along_axes(reach, still=True),

@@ -184,7 +184,7 @@ def build_best_solution(
         tol,
         tuple(passes),
         sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
-        _format_message(status, best, verdict, tol),
+        _format_status_message(status, best, verdict, tol),
         time.perf_counter() - begin,
         None if first is None or first in candidates else first.history.passes[0],
     )
@@ -227,7 +227,9 @@ def _choose_refinement_status(
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
-def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
+def _format_status_message(
+    status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float
+) -> str:
     """Return the message: local error, estimated error of the objective and failed conditions."""
     error = best.largest_local_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"

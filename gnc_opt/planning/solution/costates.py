@@ -119,7 +119,9 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
     return pieces
 
 
-def split_multipliers(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
+def split_duplicate_multipliers(
+    collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask
+) -> Array:
     """Distribute the multipliers of path constraints that LGL contains twice.
 
     At a segment boundary only the sum of both is unique. One active side gets all, two get equal densities. ``paths``

@@ -221,7 +221,7 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits) -> Violations:
         beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
         left, right = (samples.times[neighbours] for neighbours in beside)
         chosen = limits.select_limits(k[hidden])
-        peaks, heights = _locate_peaks(samples.leg, chosen, left, right)
+        peaks, heights = _locate_violation_peaks(samples.leg, chosen, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
@@ -255,7 +255,9 @@ def _find_local_violation_peaks(samples: PhaseSamples, excess: Array) -> tuple[I
     return k, j, np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
 
 
-def _locate_peaks(phase: PhaseSolution, limits: Limits, left: Array, right: Array) -> tuple[Array, Array]:
+def _locate_violation_peaks(
+    phase: PhaseSolution, limits: Limits, left: Array, right: Array
+) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
     times, best, columns = left, np.full(left.size, -np.inf), np.arange(left.size)
     for _ in range(_LIMITS_ROUNDS):

@@ -66,8 +66,8 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
             defects = np.abs(_compute_cost_of_segment_defects(s))
             paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
-            excess = _weight_violations(s, paths, s.leg.path_bounds, s.mu)
-            excess += _weight_violations(s, s.x, s.leg.state_bounds, s.state_multiplier)
+            excess = _weight_violations_by_multipliers(s, paths, s.leg.path_bounds, s.mu)
+            excess += _weight_violations_by_multipliers(s, s.x, s.leg.state_bounds, s.state_multiplier)
             infeasibility += np.sum(defects + excess)
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
@@ -87,7 +87,9 @@ def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     return total
 
 
-def _weight_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _weight_violations_by_multipliers(
+    s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array
+) -> Array:
     """Return o of each segment (K,): exceeded limits times their multipliers, if these have the correct sign.
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.

@@ -27,7 +27,7 @@ from gnc_opt.planning.solution.costates import (
     PhaseCostates,
     compute_costates_at_collocation_points,
     correct_constraint_arc_costates,
-    split_multipliers,
+    split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_point_values
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -177,7 +177,7 @@ def _build_phase_solution(
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = functions.mixed_path_constraints
-    paths = split_multipliers(collocation, paths, weights, mixed)
+    paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
     rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _fix_movable_mesh_breaks(collocation.mesh, anchors)

@@ -168,7 +168,7 @@ class CriticalCone:
 
         Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
         """
-        space = NullSpace.with_fixed(self.point, self.strong | self.weak)
+        space = NullSpace.with_fixed_variables(self.point, self.strong | self.weak)
         solve = space.projection_factors[1]
         change = np.random.default_rng(0).standard_normal(space.rows.size)
         for _ in range(2):

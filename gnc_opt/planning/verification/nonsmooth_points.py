@@ -114,7 +114,9 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     combined = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
     if combined:
         ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
-    of_ends = [ends.compute_end_differences(scales.reach, scales.parameters, step) for step in STEPS]
+    of_ends = [
+        ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in STEPS
+    ]
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
         axes = moves = scales.phases[s.leg.name].along.nonzero_semi_axes

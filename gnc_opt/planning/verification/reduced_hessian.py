@@ -256,12 +256,12 @@ def _describe_largest_variation_component(point: ProgramPoint, solution: Solutio
 
 def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the smallest curvature of the Lagrangian with ``held`` (n_variables + n_constraints,) fixed."""
-    space = NullSpace.with_fixed(point, held, unit, further)
+    space = NullSpace.with_fixed_variables(point, held, unit, further)
     hessian = space.project_to_null_space(point.lagrangian_hessian)
     plain = (
         hessian
         if unit is None
-        else NullSpace.with_fixed(point, held).project_to_null_space(point.lagrangian_hessian)
+        else NullSpace.with_fixed_variables(point, held).project_to_null_space(point.lagrangian_hessian)
     )
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # A single large row, e.g. of a parameter far from its origin, is not representative.

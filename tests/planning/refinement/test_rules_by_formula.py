@@ -48,7 +48,7 @@ def test_violations_cost_their_multipliers_of_the_correct_sign() -> None:
     values = np.array([[3.0, -1.0], [3.0, -1.0], [6.0, 3.0]])
     bounds = interval([0.0, 0.0, 5.0], [1.0, 1.0, 5.0])
     multipliers = np.array([[3.0, -4.0], [-3.0, 4.0], [2.0, 7.0]])
-    found = solution_accuracy._weight_violations(samples, values, bounds, multipliers)
+    found = solution_accuracy._weight_violations_by_multipliers(samples, values, bounds, multipliers)
     np.testing.assert_allclose(found, [3 * 2 + 4 * 1 + abs(2 * 1 - 7 * 2)])
 
 

@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.costates import (
     compute_costates_at_collocation_points,
     correct_constraint_arc_costates,
     invert_costate_map,
-    split_multipliers,
+    split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
 
@@ -133,7 +133,7 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
 
 def doubled(left: list[float], right: list[float], *, mixed: bool = False, scheme: Scheme = "LGL") -> Array:
     part = collocation(scheme, Mesh((0.0, 0.5, 1.0), (3, 3)), n=1, paths=1)
-    return split_multipliers(
+    return split_duplicate_multipliers(
         part, np.array([[*left, *right]]), 2 * part.quadrature_weights, np.array([mixed])
     )
 
@@ -360,9 +360,9 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         )
     paths = random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes
     mixed = np.array([False, True, False])
-    shared_out = split_multipliers(whole, paths, weights, mixed)
+    shared_out = split_duplicate_multipliers(whole, paths, weights, mixed)
     for i in range(3):
-        one = split_multipliers(whole, paths[[i]], weights, mixed[[i]])
+        one = split_duplicate_multipliers(whole, paths[[i]], weights, mixed[[i]])
         assert shared_out[i] == pytest.approx(one[0])
 
 

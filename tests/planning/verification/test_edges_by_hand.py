@@ -466,7 +466,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
     monkeypatch.setattr(
         null_space, "compute_variation_norm_weights", lambda transcription: np.array([1.0, 4.0])
     )
-    found = NullSpace.with_fixed(point, np.array([False, False, True, True]))
+    found = NullSpace.with_fixed_variables(point, np.array([False, False, True, True]))
     np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
     np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
     np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])

@@ -39,7 +39,7 @@ def sparse(matrix: Array) -> object:
 
 
 def space_of(jacobian: Array, root: Array, free: Array, size: int) -> NullSpace:
-    """Rows scaled to unit gradients, as `NullSpace.with_fixed` leaves them."""
+    """Rows scaled to unit gradients, as `NullSpace.with_fixed_variables` leaves them."""
     norms = np.linalg.norm(jacobian, axis=1)
     rows = np.arange(jacobian.shape[0])
     unit = sparse(np.eye(size)[:, free] * root)

@@ -24,7 +24,7 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric_matrix
-from gnc_opt.planning.optimality.optimality_check_scales import Scales, _compute_deviations
+from gnc_opt.planning.optimality.optimality_check_scales import Scales, _compute_parameter_deviations
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -948,9 +948,9 @@ def test_a_parameter_without_curvature_is_measured_by_itself_or_its_bounds() -> 
     for name, upper in (("small", 4.0), ("zero", 4.0), ("unbounded", None)):
         problem.parameter(name, lower=0.0, upper=upper)
     solution: Any = SimpleNamespace(parameter_values=np.array([0.25, 0.0, 0.0]))
-    flat = _compute_deviations(problem, solution, np.zeros(3), 1.0)
+    flat = _compute_parameter_deviations(problem, solution, np.zeros(3), 1.0)
     np.testing.assert_array_equal(flat, [0.25, 4.0, 1.0])
-    curved = _compute_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
+    curved = _compute_parameter_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
     np.testing.assert_array_equal(curved, [0.5, 4.0, 1.0])
 
 

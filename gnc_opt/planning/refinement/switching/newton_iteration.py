@@ -83,12 +83,16 @@ def find_optimal_switching_times(
         return None
     switches = _list_control_switches(s, structure)
     steps = FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = None if known is None else _iterate_simplified(problem, s, switches, known, accuracy, steps)
+    flight = (
+        None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
+    )
     if flight is None or flight.find_missing_bang_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _iterate_simplified(problem, s, flight.switches, flight.step, accuracy, steps) or flight
+        flight = (
+            _iterate_simplified_newton(problem, s, flight.switches, flight.step, accuracy, steps) or flight
+        )
     if flight is None:
         return None
     switches = _shift_switching_times(flight.switches, flight.step.change)
@@ -122,7 +126,7 @@ def _iterate_to_optimal_switches(
     return rested
 
 
-def _iterate_simplified(
+def _iterate_simplified_newton(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
