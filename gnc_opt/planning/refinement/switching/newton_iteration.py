@@ -41,6 +41,9 @@ NEWTON_MAX_STEPS = 40
 SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
 """Largest step, relative to the phase, whose matrices are reused in the following steps."""
 
+SIMPLIFIED_STEPS_PER_FULL_STEP = 3
+"""Number of steps with reused matrices that cost as much as one with its own matrices."""
+
 SIMPLIFIED_NEWTON_MAX_STEPS = 12
 """Largest number of steps with reused matrices."""
 
@@ -139,9 +142,9 @@ def _iterate_newton_steps(
 ) -> SwitchedFlow | None:
     """Return the converged trajectory near given switching times, starting with a known step, or None.
 
-    Steps reuse the matrices of the known one.
+    Steps reuse the matrices of the previous one as long as they decrease sufficiently fast.
     """
-    before = math.inf  # length of the previous step
+    before = math.inf  # length of the previous step, if it had the same matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
@@ -157,7 +160,10 @@ def _iterate_newton_steps(
                 return None
             if _compute_switching_time_error(flight.step, switches, accuracy) < INNER_TOLERANCE_SHARE:
                 return flight
-        step, before = compute_simplified_newton_step(problem, s, switches, step, step.steps), length
+        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
+            step, before = compute_newton_step(problem, s, switches, step.steps), math.inf
+        else:
+            step, before = compute_simplified_newton_step(problem, s, switches, step, step.steps), length
     return None
 
 
