@@ -53,7 +53,7 @@ class ExitCode(IntEnum):
 
 def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.computation_budget import RefinementLimits
-    from gnc_opt.planning.direct.fixed_mesh_solve import format_solve_failure_message
+    from gnc_opt.planning.direct.solve_failure_report import format_solve_failure_message
     from gnc_opt.planning.optimal_control_solver import solve
     from gnc_opt.planning.verification import verify
 

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names for type checkers
-    from gnc_opt.planning.direct.fixed_mesh_solve import SolveError
+    from gnc_opt.planning.direct.solve_failure_report import SolveError
     from gnc_opt.planning.nlp import SolverOptions, Status
     from gnc_opt.planning.optimal_control_solver import Resolver, solve
     from gnc_opt.planning.problem import Phase, Problem
@@ -72,7 +72,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULES = {
-    "planning.direct.fixed_mesh_solve": "SolveError",
+    "planning.direct.solve_failure_report": "SolveError",
     "planning.nlp": "SolverOptions Status",
     "planning.problem": "Phase Problem",
     "planning.problem.active_constraint_arcs": "Arc ArcKind",

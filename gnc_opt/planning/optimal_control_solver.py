@@ -10,12 +10,8 @@ from typing import Any, Literal
 from gnc_opt.argument_checks import read_positive_number, require_type, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
-from gnc_opt.planning.direct.fixed_mesh_solve import (
-    WARM_MAX_ITERATIONS,
-    SolveError,
-    format_solve_failure_message,
-    solve_problem_on_mesh,
-)
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
+from gnc_opt.planning.direct.solve_failure_report import SolveError, format_solve_failure_message
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.problem.problem import Problem

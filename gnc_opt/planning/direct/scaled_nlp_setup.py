@@ -1,15 +1,4 @@
-r"""Problem on one mesh, ready for the solver: program, scaling, initial point, and conversion of the result.
-
-If a combination of equality constraints is satisfied by every change of the variables, :math:`J_F^T r = 0`, any
-multiple of r may be added to the multipliers. Examples: all four components of a quaternion fixed at the end; a state
-on an active arc that is implied by another active arc. An interior-point method may return so large a multiple that the
-costates lose all digits.
-
-`minimise_multiplier_norm` minimises :math:`|\lambda_x + J_A^T r|^2 + \epsilon |\lambda - r|^2` (A: states on arcs): a
-limit implied by another one has no multiplier, and the remaining null-space part has minimum norm. The least-squares
-problem is solved by its augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5).
-Multipliers of inequalities and bounds do not change; those of fixed variables are adapted to preserve stationarity.
-"""
+"""Problem on one mesh, ready for the solver: program, scaling, initial point, and conversion of the result."""
 
 from __future__ import annotations
 
@@ -17,25 +6,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import scipy
 
-from gnc_opt.array_types import Array, Indices
-from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
+from gnc_opt.array_types import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
-from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.constraint_violation_diagnosis import list_iterate_violations
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import InitialNlpPoint, choose_initial_nlp_point
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import (
-    build_phase_solutions,
-    list_iterate_violations,
-    unwrap_angle_controls,
-)
+from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions, unwrap_angle_controls
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
@@ -171,39 +154,3 @@ class ScaledNlp:
             },
             problem=problem.frozen(),
         )
-
-
-NULL_SPACE_MIN_SHARE = 0.5
-"""Smallest null-space part, as a share of the largest multiplier, that is removed."""
-
-
-def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
-    """Return a result without the null-space part of the multipliers of dependent equality constraints."""
-    largest = max_norm(result.lam_g)
-    if not 0.0 < largest < np.inf:
-        return result
-    rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
-    jacobian = convert_casadi_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    along = fixed & transcription.mask_interior_states()  # those on active arcs
-    multipliers = result.lam_g[rows], result.lam_x[along]
-    r = _project_to_null_space(jacobian[:, ~fixed], jacobian[:, along], *multipliers)
-    left = jacobian.T @ r
-    size = np.max(np.abs(r))
-    if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * size:
-        return result
-    lam_g, lam_x = result.lam_g.copy(), result.lam_x.copy()
-    lam_g[rows] -= r
-    lam_x[fixed] += left[fixed]
-    return replace(result, lam_g=lam_g, lam_x=lam_x)
-
-
-def _project_to_null_space(free: Any, along: Any, rows: Array, limits: Array) -> Array:
-    """Return the part r of the row multipliers (m,) that the variables ``free`` (m, n) do not determine."""
-    m, n = free.shape
-    weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
-    blocks = [[weight, free], [free.T, -ROUNDING * scipy.sparse.eye_array(n)]]
-    system = scipy.sparse.block_array(blocks, format="csc")
-    wanted = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
-    factors = scipy.sparse.linalg.splu(system)
-    found = factors.solve(wanted)
-    return np.asarray((found + factors.solve(wanted - system @ found))[:m])

@@ -282,10 +282,8 @@ def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[st
     def build_jacobian_function() -> Any:
         ends = get_endpoint_value_function(problem)
         inputs = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
-        column, states = (
-            ends(*inputs)[:-1],
-            [inputs[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)],
-        )
+        column = ends(*inputs)[:-1]
+        states = [inputs[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
         return ca.Function("end_jacobians", inputs[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
 
     function = problem.memoize("end jacobians", build_jacobian_function)

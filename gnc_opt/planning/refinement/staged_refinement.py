@@ -88,9 +88,10 @@ def refine(
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
         switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
         enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
-        ``"auto"``: all stages.
+        ``"auto"``: the stages of ``docs/refinement.md``.
     check : bool
-        Whether the solution must pass the optimality check; without it, the history ends as UNCHECKED.
+        Whether the solution must pass the optimality check. Without the check, the first solution is returned whose
+        estimated error of the objective is within the tolerance; its history ends as UNCHECKED.
     limits : RefinementLimits, optional
         On passes, points, work and wall time. At a limit, and after Ctrl-C, the best solution so far is returned.
     options : SolverOptions, optional

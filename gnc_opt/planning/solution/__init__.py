@@ -1,11 +1,11 @@
 """Solutions: polynomials, costates, accuracy, verdict, warm starts, files."""
 
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution import Solution, load
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
-from gnc_opt.planning.solution.solution_from_nlp_result import Violation
 
 __all__ = [
     "Accuracy",

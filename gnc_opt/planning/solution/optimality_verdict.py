@@ -141,6 +141,8 @@ class Verdict:
         Lower bound of the cost of all trajectories, if known (`lower_bound`).
     gap : float or None
         Distance of the objective from the bound, relative to the objective.
+    solver_failure : str
+        Status of the solver and remedy, if it found no solution; empty otherwise.
 
     Examples
     --------
@@ -155,6 +157,7 @@ class Verdict:
     estimated: bool = False
     bound: LowerBound | None = None
     gap: float | None = None
+    solver_failure: str = ""
 
     @property
     def ok(self) -> bool:
@@ -238,13 +241,24 @@ class Verdict:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups, left = self.condition_groups, self.open_conditions
         failing = next((found for found in groups.values() if any(c in left for c in found)), [])
-        lines = [line for c in failing if c in left for line in _explain_condition(c, self.estimated)]
+        lines = [f"no solution, status {self.solver_failure}"] * bool(self.solver_failure)
+        lines += [line for c in failing if c in left for line in self._explain_condition(c)]
         also = ", ".join(c.name for c in left if c not in failing)
         lines += [f"also: {also}"] * bool(also)
         worst = {group: find_worst_optimality_condition(found) for group, found in groups.items()}
         places = [replace(c, where=c.where.partition(";")[0]).location_text for c in worst.values()]
         rows = [(g, c, f"{c.name}: {place}") for (g, c), place in zip(worst.items(), places, strict=True)]
         return "\n".join([*lines, *_format_condition_table("group", rows), f"verdict: {self.outcome}"])
+
+    def _explain_condition(self, condition: Condition) -> list[str]:
+        """Return result, location, loss of cost and remedy of a condition that does not pass, one per line."""
+        size = f"{condition.value:.1e} (tolerance {condition.tolerance:.0e})"
+        lines = [f"{condition.result.value} {condition.name}: {size}", f"  at {condition.where}"]
+        if condition.loss is not None:
+            lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
+        of_samples = f"{condition.name} of samples" if self.estimated else ""
+        remedy = REMEDIES.get(of_samples, REMEDIES.get(condition.name))
+        return [*lines, f"  {remedy}"] if remedy and not self.solver_failure else lines
 
     @property
     def condition_groups(self) -> dict[str, list[Condition]]:
@@ -294,14 +308,3 @@ def _format_condition_table(title: str, rows: list[tuple[str, Condition, str]]) 
     cells += [(name, c.result.value, format_violation(c.value), place) for name, c, place in rows]
     width, wide = (max(len(row[i]) for row in cells) for i in (0, 2))
     return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {at}" for name, result, value, at in cells]
-
-
-def _explain_condition(condition: Condition, sampled: bool) -> list[str]:
-    lines = [
-        f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
-        f"  at {condition.where}",
-    ]
-    if condition.loss is not None:
-        lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
-    remedy = REMEDIES.get(f"{condition.name} of samples" if sampled else "", REMEDIES.get(condition.name))
-    return [*lines, f"  {remedy}"] if remedy else lines

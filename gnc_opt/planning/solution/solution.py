@@ -41,6 +41,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
     find_points_outside_tables,
     list_table_calls,
 )
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.defects_and_violations import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import (
@@ -64,7 +65,6 @@ from gnc_opt.planning.solution.solution_accuracy import (
     estimate_objective_error,
     measure_accuracy,
 )
-from gnc_opt.planning.solution.solution_from_nlp_result import Violation
 from gnc_opt.planning.solution.solution_summary import summary
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh

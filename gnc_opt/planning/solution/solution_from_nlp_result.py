@@ -1,19 +1,16 @@
-"""Conversion of solver results to solutions: times, integrals, covector mapping; violations of an unsolved iterate."""
+"""Conversion of solver results to solutions: times, integrals, covector mapping."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.split_and_magnitude_direction_controls import UnitVectorControl
-from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, ROUNDING, SHORTEST
-from gnc_opt.planning.nlp import NlpResult, Status
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, SHORTEST
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
@@ -34,7 +31,6 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
-from gnc_opt.planning.transcription.scaling import Scaling
 from gnc_opt.planning.transcription.transcription import Transcription
 
 
@@ -249,89 +245,3 @@ def build_state_polynomial(
         nodes.append(rule.state_nodes)
         values.append(states)
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
-
-
-_LISTED_VIOLATIONS = 10
-_RUNNING_OFF = 1e6
-"""Magnitude of scaled variables above which they are named for an unbounded problem."""
-
-
-@dataclass(frozen=True)
-class Violation:
-    """Violated constraint or bound of an iterate.
-
-    Attributes
-    ----------
-    name : str
-        For example ``"v_L[2] defect, phase approach, segment 3, point 2"``.
-    amount : float
-        Size, relative to the scale of the row or variable.
-
-    Examples
-    --------
-    >>> failed = go.solve(problem.with_bounds(a=(-0.01, 0.01)), mesh="4x3", tol=None, throw=False)
-    >>> print(failed.status.value, failed.violations[0].amount > 0.0)
-    infeasible True
-    """
-
-    name: str
-    amount: float
-
-
-def list_iterate_violations(
-    transcription: Transcription,
-    problem: Problem,
-    result: NlpResult,
-    scaling: Scaling,
-    phases: dict[str, PhaseSolution],
-    parameters: Array,
-) -> tuple[Violation, ...]:
-    """Return the violations of the iterate in descending order, relative to the scales of rows and variables.
-
-    First come diverging variables if the problem is unbounded, and non-finite functions if these stopped the solver.
-    """
-    if result.status.solved or result.status is Status.INVALID_OPTION:  # the latter: no iterate
-        return ()
-    special: list[Violation] = []
-    if result.status is Status.UNBOUNDED:
-        special = _find_unbounded_variables(transcription, result.x)
-    if result.status is Status.NOT_A_NUMBER:
-        special = _find_nonfinite(problem, phases, parameters)
-    rows = _find_violated_constraint_rows(transcription, problem, result, scaling)
-    return (*special, *rows)[:_LISTED_VIOLATIONS]
-
-
-def _find_violated_constraint_rows(
-    transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
-) -> list[Violation]:
-    rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
-    scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
-    scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    boxes = (scaled_rows, result.g), (scaled_box, result.x)
-    amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in boxes])
-    bounds = [f"bound of {label}" for label in transcription.variable_labels]
-    labels = (*transcription.constraint_row_labels, *bounds)
-    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
-    return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
-
-
-def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
-    largest: dict[str, Violation] = {}
-    for i in np.argsort(-np.abs(scaled), kind="stable"):
-        if not abs(scaled[i]) > _RUNNING_OFF:
-            break
-        label = transcription.variable_labels[i]
-        largest.setdefault(label.split(",")[0], Violation(f"{label} diverges", float(abs(scaled[i]))))
-    return list(largest.values())
-
-
-def _find_nonfinite(problem: Problem, phases: dict[str, PhaseSolution], parameters: Array) -> list[Violation]:
-    found = []
-    for name, phase in phases.items():
-        times = phase.point_times
-        at = times, phase.x(times), phase.u(times)
-        bad = find_nonfinite_function(problem, problem.phases[name], *at, parameters)
-        if bad:
-            when = f"t = {bad.time:.4g} {problem.time_unit}"
-            found.append(Violation(f"{bad.what}, phase {name}, {when}", np.nan))
-    return found

@@ -79,8 +79,8 @@ SPAN_MIN_SHARE = 1e-7
 
 
 FAR_LIMIT_RATIO, INACTIVE_RANGE_RATIO = 1e3, 10.0
-"""Ratios of a control's range to its variation above which the range is not a scale, since a limit is far away: for
-distances to limits, and for the variation of an inactive control."""
+"""Largest ratios of a control's range to its variation with which the range is a scale: of distances to limits, and of
+the variation of an inactive control. A wider range has a limit that the control does not approach."""
 
 
 def compute_state_scales(
@@ -122,10 +122,11 @@ def compute_control_scales(
     cost = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
-    alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    known = replace_tiny_by_one(np.fmax(alike, size))
-    alike = np.where(idle, np.where(extent > INACTIVE_RANGE_RATIO * known, known, extent), alike)
-    spans = np.where(spans > NEGLIGIBLE * alike, spans, alike)
+    equal = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
+    inactive = replace_tiny_by_one(np.fmax(equal, size))
+    inactive = np.where(extent > INACTIVE_RANGE_RATIO * inactive, inactive, extent)
+    equal = np.where(idle, inactive, equal)
+    spans = np.where(spans > NEGLIGIBLE * equal, spans, equal)
     spans = take_largest_variable_component(spans, phase.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
@@ -170,9 +171,9 @@ def _estimate_controllable_changes(phase: PhaseSolution, functions: PhaseFunctio
     times = phase.sample_times()
     lasts, control = phase.breaks[-1] - phase.breaks[0], phase.applied(times)
     mean = scipy.integrate.trapezoid(control, times, axis=1) / lasts
-    pushes = scipy.integrate.trapezoid(np.abs(control - mean[:, None]), times, axis=1) / lasts
-    at_once = lasts * by_control @ np.where(pushes > NEGLIGIBLE * used, pushes, used)  # mean deviations
-    movable = np.maximum(at_once, lasts * by_state @ at_once)
+    deviation = scipy.integrate.trapezoid(np.abs(control - mean[:, None]), times, axis=1) / lasts
+    direct = lasts * by_control @ np.where(deviation > NEGLIGIBLE * used, deviation, used)
+    movable = np.maximum(direct, lasts * by_state @ direct)
     for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)

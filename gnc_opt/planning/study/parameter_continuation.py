@@ -11,7 +11,8 @@ import numpy as np
 from gnc_opt.argument_checks import read_float_array, read_positive_number, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.planning.direct.fixed_mesh_solve import SolveError, solve_problem_on_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
+from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.problem import Problem

@@ -202,8 +202,10 @@ def _compute_limit_distances(
 def compute_path_value_changes(
     s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array, least: float = 1.0
 ) -> Array:
-    """Return changes of path constraints (n_paths, n_times) by deviations of states and controls, of these at least the
-    share ``least`` of the largest."""
+    """Return the changes of path constraints by deviations of states and controls (n_paths, n_times).
+
+    Deviations of controls are at least the share ``least`` of the largest one along the phase.
+    """
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
@@ -212,7 +214,7 @@ def compute_path_value_changes(
     moved = np.where(moved > 0, moved, own.along.support_function(by_state))
     most = np.max(own.deviation, axis=1)[:, None]
     deviation = np.maximum(sample_control_deviations(s, scales, times), least * most)
-    for vector in s.leg.vector_controls:  # directions have length 1 at all times
+    for vector in s.leg.vector_controls:  # directions always have length 1
         deviation[s.leg.controls.slice(vector.direction)] = most[s.leg.controls.slice(vector.direction)]
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
 

@@ -190,7 +190,9 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     if not with_costates:
         checked = [_mark_condition_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
     conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
-    return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
+    unchecked, status = "" if with_costates else "no costates", solution.status
+    failure = "" if status.solved else f"{status.value}: {status.remedy}"
+    return Verdict(solution.problem_name, conditions, unchecked, solver_failure=failure)
 
 
 def _check_first_order_conditions(

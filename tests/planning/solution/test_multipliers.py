@@ -15,7 +15,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.numerical_tolerances import ACTIVE, SMALL
-from gnc_opt.planning.direct.scaled_nlp_setup import _project_to_null_space, minimise_multiplier_norm
+from gnc_opt.planning.direct.minimum_norm_multipliers import _project_to_null_space, minimise_multiplier_norm
 from gnc_opt.planning.optimality.kkt_system import (
     ProgramLimits,
     ProgramPoint,

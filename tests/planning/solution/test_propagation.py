@@ -22,13 +22,13 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.model import ode_integration
+from gnc_opt.planning.solution.constraint_violation_diagnosis import _find_unbounded_variables
 from gnc_opt.planning.solution.defects_and_violations import (
     Propagation,
     compute_propagation_errors,
     integrate_dynamics,
 )
 from gnc_opt.planning.solution.piecewise_polynomial import SaturatedControl
-from gnc_opt.planning.solution.solution_from_nlp_result import _find_unbounded_variables
 
 # Propagation ends, whatever the dynamics are like, and says where and why.
 

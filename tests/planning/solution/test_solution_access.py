@@ -27,10 +27,10 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import fixed_mesh_solve as tries
-from gnc_opt.planning.direct.fixed_mesh_solve import format_solve_failure_message
+from gnc_opt.planning.direct.solve_failure_report import format_solve_failure_message
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation, list_iterate_violations
 from gnc_opt.planning.solution.refinement_history import Actions
-from gnc_opt.planning.solution.solution_from_nlp_result import Violation, list_iterate_violations
 from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------

@@ -95,9 +95,9 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     legs = [fake(leg=fake(name=f"leg {k}"), has_duration=on) for k, on in enumerate(state["lasting"])]
     for s in legs:
         s.with_cost_scale = lambda *_, s=s: s
-    solution = fake(
-        samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
-    )
+    problem = fake(phases={})
+    solution = fake(samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: problem)
+    solution.status = go.Status.OPTIMAL
     result("recompute_stored_data", solution)
     result("get_endpoint_gradients", fake(cost=0.0))
     result("choose_cell_edges_at_narrow_features", None)
