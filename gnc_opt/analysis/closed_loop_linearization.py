@@ -26,7 +26,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
-from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
+from gnc_opt.simulation.compiled_closed_loop import MAX_STEPS_PER_CALL, CompiledLoop
 
 OUTPUTS = ("commands", "applied")
 """Parts of the log that are linearised."""
@@ -207,8 +207,8 @@ class Linearization:
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
     def _iterate_noise_free_step_inputs(self) -> Iterator[Array]:
-        for _, rows in self.flight.iterate_legs(
-            0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
+        for _, rows in self.flight.iterate_known_values(
+            0, np.empty((min(self.flight.n_steps, MAX_STEPS_PER_CALL), self.flight.kernel.known.size))
         ):
             rows[:, self.noise_input_indices] = 0.0
             yield from rows

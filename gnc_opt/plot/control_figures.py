@@ -84,15 +84,15 @@ def plot_controls(
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):
             pictures = [next(axes) for _ in range(1 + pair)]
-            for leg in phases:
-                if not has_phase_control(leg, name):
+            for each in phases:
+                if not has_phase_control(each, name):
                     continue
                 if i is None:
-                    _draw_all_control_components(pictures[0], leg, name)
+                    _draw_all_control_components(pictures[0], each, name)
                 else:
-                    _draw_bounded_control_component(pictures[0], leg, name, i)
+                    _draw_bounded_control_component(pictures[0], each, name, i)
                 if pair:
-                    _draw_switching_function(pictures, solution, leg, name, i or 0)
+                    _draw_switching_function(pictures, solution, each, name, i or 0)
         for ax in drawn:
             draw_phase_boundaries(ax, phases)
         label_bottom_time_axes(figure, time_unit(solution))

@@ -121,15 +121,15 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     None
     """
     phases = select_plotted_phases(solution, phase)
-    rows = [row for leg in phases for row in _list_path_inequalities(leg)]
+    rows = [row for each in phases for row in _list_path_inequalities(each)]
     labels = list(dict.fromkeys(label for label, *_ in rows))
     units = {} if solution.problem is None else solution.problem.path_units()
     if not labels or solution.problem is None:
         return None
     with apply_plot_style():
         figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(labels)), 1.8)
-        for label, i, leg in rows:
-            _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
+        for label, i, each in rows:
+            _draw_path_constraint(axes[labels.index(label)], solution, each, i)
         for ax, label in zip(axes, labels, strict=True):
             ax.set_ylabel(format_axis_label(label, units[label]))
             draw_phase_boundaries(ax, phases)
@@ -182,13 +182,13 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     phases = select_plotted_phases(solution, phase)
     with apply_plot_style():
         figure, (ax,) = create_figure_with_axes_rows([1], 2.0)
-        for leg in phases:
+        for each in phases:
             along = sample_piecewise_function(
-                _build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times
+                _build_applied_hamiltonian_function(solution, each), each.applied.jump_times
             )
             draw_signal_components(ax, *along, ["applied controls"])
-            ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
-        set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in phases))
+            ax.plot(each.point_times, solution.hamiltonian(each.point_times, each.name), "o", **_AT_POINTS)
+        set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, each) for each in phases))
         draw_phase_boundaries(ax, phases)
         label_bottom_time_axes(figure, time_unit(solution))
         ax.set_ylabel(format_axis_label("Hamiltonian", get_hamiltonian_unit(solution)))
@@ -205,14 +205,14 @@ def _draw_states_or_costates(
     with apply_plot_style():
         figure, axes = create_figure_with_axes_rows(count_axes_per_figure_row(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
-            owners = [leg for leg in phases if name in leg.states]
-            for leg in owners:
-                signal = leg.costate(name) if costates else leg.state(name)
+            owners = [each for each in phases if name in each.states]
+            for each in owners:
+                signal = each.costate(name) if costates else each.state(name)
                 draw_signal_components(
-                    ax, *sample_piecewise_function(signal, leg.breaks), list_legend_labels(signal)
+                    ax, *sample_piecewise_function(signal, each.breaks), list_legend_labels(signal)
                 )
                 if not costates:
-                    _draw_state_bounds(ax, leg, name)
+                    _draw_state_bounds(ax, each, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
             unit = format_unit_quotient(get_cost_unit(solution), variable.unit) if costates else variable.unit
             ax.set_ylabel(format_axis_label(text, unit))

@@ -187,9 +187,12 @@ def _split_motion_into_phases(moved: Moved, view: View) -> list[_MotionPhase]:
     else:
         parts = [
             _MotionPhase(
-                leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls}
+                phase.initial_time,
+                phase.final_time,
+                phase,
+                {"state": phase.states, "control": phase.controls},
             )
-            for leg in moved.phases.values()
+            for phase in moved.phases.values()
         ]
     names = view.position if view.position is not None else view.attitude or ()
     found = [part for part in parts if part.has_state_variables(names)]

@@ -56,22 +56,22 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
     """
     problem, nowhere = solution.need_problem("list the limits of"), np.full(1, np.nan)
     for name, s in solution.samples().items():
-        leg, phase = s.leg, problem.phases[name]
-        (t, x), (_, u) = (sample_phase_signal(leg, signal) for signal in (leg.x, leg.applied))
-        paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
-        states, arcs = leg.states.variables, _list_active_constraint_arcs(solution, s)
-        lengths = {c.direction_norm_constraint_name for c in leg.vector_controls}
+        phase, numbers = s.phase, problem.phases[name].numbers
+        (t, x), (_, u) = (sample_phase_signal(phase, signal) for signal in (phase.x, phase.applied))
+        paths = [Variable(label, unit=problem.path_units()[label]) for label in phase.path_labels]
+        states, arcs = phase.states.variables, _list_active_constraint_arcs(solution, s)
+        lengths = {c.direction_norm_constraint_name for c in phase.vector_controls}
         initial, final = (
             [replace(v, name=f"{end} {v.name}") for v in states] for end in ("initial", "final")
         )
         times = [Variable(f"{end} time", unit=problem.time_unit) for end in ("initial", "final")]
         for quantities in (
-            (states, x, t, leg.state_bounds),
-            (leg.controls.variables, u, t, leg.control_bounds),
-            (paths, s.functions.path_constraints(t, x, u), t, leg.path_bounds),
-            (initial, x[:, :1], t[:1], phase.numbers.initial),
-            (final, x[:, -1:], t[-1:], phase.numbers.final),
-            (times, t[[0, -1], None], nowhere, stack_intervals(phase.time_ranges())),
+            (states, x, t, phase.state_bounds),
+            (phase.controls.variables, u, t, phase.control_bounds),
+            (paths, s.functions.path_constraints(t, x, u), t, phase.path_bounds),
+            (initial, x[:, :1], t[:1], numbers.initial),
+            (final, x[:, -1:], t[-1:], numbers.final),
+            (times, t[[0, -1], None], nowhere, stack_intervals(problem.phases[name].time_ranges())),
         ):
             for found in _list_component_limit_margins(name, *quantities):
                 side = found.upper, found.limit
@@ -120,9 +120,9 @@ def _list_active_constraint_arcs(
     """
     found, (times, values, impulses) = [], _compute_multiplier_impulses(s)
     scales = np.concatenate([s.state_scale, s.path_scale, s.control_scale])
-    box = stack_intervals([s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds])
-    near = GONE * s.leg.duration
-    for i, label in enumerate((*s.leg.states.labels, *s.leg.path_labels, *s.leg.controls.labels)):
+    box = stack_intervals([s.phase.state_bounds, s.phase.path_bounds, s.phase.control_bounds])
+    near = GONE * s.phase.duration
+    for i, label in enumerate((*s.phase.states.labels, *s.phase.path_labels, *s.phase.controls.labels)):
         for limit, sign in ((box.lower[i], -1), (box.upper[i], 1)):
             if box.is_fixed[i] or not np.isfinite(limit):
                 continue
@@ -138,7 +138,7 @@ def _list_active_constraint_arcs(
 
 def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return times, values and impulses (at points density times weight) in the order of the arcs."""
-    phase, inner = s.leg, s.leg.breaks[1:-1]
+    phase, inner = s.phase, s.phase.breaks[1:-1]
     times = np.concatenate([phase.point_times, inner])
     x, u = phase.x(times), phase.applied(times)
     values = np.vstack([x, s.functions.path_constraints(times, x, u), u])
@@ -154,10 +154,10 @@ def _find_active_constraint_intervals(
     """Return the arcs at a limit, or without known arcs the segments with active times, adjacent ones joined."""
     if solution.structure:
         arcs = (
-            a for a in solution.structure if (a.phase, a.channel, a.kind.sign) == (s.leg.name, label, sign)
+            a for a in solution.structure if (a.phase, a.channel, a.kind.sign) == (s.phase.name, label, sign)
         )
         return [(arc.start, arc.end) for arc in arcs]
-    breaks = s.leg.breaks
+    breaks = s.phase.breaks
     marked = (active >= breaks[:-1, None]) & (active <= breaks[1:, None])
     runs = find_true_value_intervals(np.any(marked, axis=1))
     return [(float(breaks[first]), float(breaks[last])) for first, last in runs]

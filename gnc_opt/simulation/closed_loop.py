@@ -19,7 +19,7 @@ from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import PLAUSIBLE, STEP_SLACK
 from gnc_opt.simulation.actuators.memoryless_nonlinearities import Saturation
 from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_closed_loop
-from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
+from gnc_opt.simulation.compiled_closed_loop import MAX_STEPS_PER_CALL, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_closed_loop_step_functions
 from gnc_opt.simulation.control_step_expressions import (
     list_controller_alarm_labels,
@@ -367,15 +367,15 @@ class ClosedLoop:
     def _sample_reference_schedule(self, times: Array) -> Array:
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
-        for first in range(0, times.size, LEG):  # limits the memory of the evaluation
-            some = times[first : first + LEG]
+        for first in range(0, times.size, MAX_STEPS_PER_CALL):  # limits the memory of the evaluation
+            some = times[first : first + MAX_STEPS_PER_CALL]
             found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
             if found.shape != (size, some.size):
                 raise ArgumentError(
                     f"the schedule of '{self.controller.name}' has the shape {found.shape} where ({size}, {some.size}) "
                     "is needed."
                 )
-            rows[:, first : first + LEG] = found
+            rows[:, first : first + MAX_STEPS_PER_CALL] = found
         return rows
 
     def _find_reference_signal_indices(self) -> Any:

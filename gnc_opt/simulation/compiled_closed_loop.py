@@ -29,7 +29,7 @@ from gnc_opt.simulation.simulation_run_outcome import Outcome, OutcomeClassifier
 from gnc_opt.simulation.simulation_run_results import Run
 from gnc_opt.simulation.zero_crossing_events import EventOccurrence, read_event_occurrences
 
-LEG = 1000
+MAX_STEPS_PER_CALL = 1000
 """Largest number of control steps per function call; limits the memory of long runs."""
 
 
@@ -146,7 +146,11 @@ class CompiledLoop:
             build_control_step_library(folded.compiled_step_function) for folded in self._step_executors
         )
         quick = replace(self, libraries=(first, second))
-        _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        _, rows = next(
+            self.iterate_known_values(
+                0, np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
+            )
+        )
         X, C = self._build_initial_closed_loop_states(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
@@ -170,7 +174,7 @@ class CompiledLoop:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
-        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        known = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
         samples = np.full((self.quantities.size, self._sampling_step_indices.size, P.shape[1]), np.nan)
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
@@ -219,7 +223,7 @@ class CompiledLoop:
             raise ArgumentError(f"the run cannot be simulated: {invalid}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
         log: dict[str, list[Array]] = defaultdict(list)
-        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        known = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._create_replannable_reference(), self.n_steps
         for end, X, logged in self._simulate_run_segments(P, seed, known, course, logged=True):
@@ -281,7 +285,7 @@ class CompiledLoop:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    def iterate_legs(
+    def iterate_known_values(
         self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
         """Yield, for each segment, its first step and the known and drawn values of its steps (n_steps, n_known).
@@ -312,10 +316,13 @@ class CompiledLoop:
 
     @cached_property
     def _run_segment_boundary_steps(self) -> list[int]:
-        """Steps at which a segment starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
+        """Steps that bound the segments of a run: every `MAX_STEPS_PER_CALL`, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
-        edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
+        edges = {
+            *(k for s in starts for k in range(s, min(s + every, self.n_steps), MAX_STEPS_PER_CALL)),
+            self.n_steps,
+        }
         return sorted(edges | set(self._sampling_step_indices.tolist()))
 
     @cached_property
@@ -372,7 +379,7 @@ class CompiledLoop:
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
         """Yield, for each segment, its last step, the final states (2, n_state), and the logged states and logs."""
-        for first, rows in self.iterate_legs(seed, known, course, again=again):
+        for first, rows in self.iterate_known_values(seed, known, course, again=again):
             if first == 0:
                 X, C = self._build_initial_closed_loop_states(rows[0], P)
             else:

@@ -76,7 +76,7 @@ class _ControlStepWithEvents:
     @property
     def event_log_layout(self) -> ColumnLayout:
         """Layout of the event notes of a control step, stored next to the state."""
-        sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
+        sums = (("applied", self.wiring.plant.controls.size), ("elapsed", 1))
         return ColumnLayout((*sums, *build_event_log_layout(self.wiring.plant.states.size)))
 
     def _build_minor_step_functions(self, i: int) -> tuple[Any, Any]:
@@ -97,14 +97,14 @@ class _ControlStepWithEvents:
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
-        propagation = ca.Function("leg", [x, armed, begin, end, *context], [propagated, *seen])
+        propagation = ca.Function("propagation", [x, armed, begin, end, *context], [propagated, *seen])
         way, places = build_event_location_function(wiring.events, propagation, h)
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_log_layout.size)
         v, n = places.split_vector_by_name(q), self.event_log_layout.split_vector_by_name(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.accumulate_control_effort(new, applied, saturated, v["s"])
-        n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
+        n |= {"applied": n["applied"] + v["s"] * applied, "elapsed": n["elapsed"] + v["s"]}
         n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
         book = ca.Function(
             "book",
@@ -140,7 +140,7 @@ class _ControlStepWithEvents:
         logged = {
             "measured": y,
             "commands": u,
-            "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
+            "applied": ca.if_else(n["elapsed"] > 0, n["applied"] / n["elapsed"], 0.0),
         }
         logged |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
         state, t = self.state.split_vector_by_name(before), self.known.split_vector_by_name(known)["t"]
@@ -174,7 +174,7 @@ class LoopKernel:
     log: ColumnLayout
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in vars(self).items() if k != "legs"}
+        return {k: v for k, v in vars(self).items() if k != "step_sequence_functions"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)

@@ -118,7 +118,7 @@ class StepExecutor:
         x, w, c = (ca.MX.sym(n, *size) for n, size in (
             ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
         ))  # fmt: skip
-        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count), count))
+        return ca.Function("step_sequence", [x, w, c], outputs(x, w, ca.repmat(c, 1, count), count))
 
 
 FLAGS = ("-std=c99", "-O1", "-fno-semantic-interposition", "-finline-small-functions", "-ffp-contract=off", "-fPIC",
@@ -156,7 +156,7 @@ def load_control_step_library(library: str) -> Callable[[Array, Array, Array, Ar
     """Return the library function ``(X, rows, C, final)``, which returns the steps done; ``None`` without library."""
     if not library or not os.path.exists(library):
         return None
-    step_loop = ctypes.CDLL(library).leg
+    step_loop = ctypes.CDLL(library).propagate_steps
     step_loop.argtypes, step_loop.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
     def call_control_step_library(X: Array, rows: Array, C: Array, final: Array) -> int:
@@ -190,7 +190,7 @@ def _generate_step_c_source(step: Any, folder: str) -> str:
 def _compile_control_step_library(step: Any, compiler: str, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
-        made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
+        made, written = Path(folder, "kernel.so"), Path(folder, "step_loop.c")
         text = _generate_step_c_source(step, folder)
         if not text:
             return

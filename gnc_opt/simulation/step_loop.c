@@ -3,8 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
-                                    casadi_real *final, casadi_int n) {
+CASADI_SYMBOL_EXPORT casadi_int propagate_steps(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
+                                                casadi_real *final, casadi_int n) {
   casadi_int n_arg, n_res, n_iw, n_w, k = 0;
   casadi_real enough = 1;
   int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);

@@ -52,9 +52,9 @@ def build(
     # of a jettisoned stage, is given by jump={"m": -200.0}.
     problem.link(out, on)
 
-    for leg in (out, on):
-        leg.bounds(a=([-10.0, -10.0], [10.0, 10.0]))
-    effort = [leg.integral(ca.sumsqr(a), "effort") for leg in (out, on)]
+    for phase in (out, on):
+        phase.bounds(a=([-10.0, -10.0], [10.0, 10.0]))
+    effort = [phase.integral(ca.sumsqr(a), "effort") for phase in (out, on)]
     problem.minimize(effort[0] + effort[1])
     return problem
 

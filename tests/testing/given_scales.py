@@ -23,7 +23,7 @@ def given_scales(
         n, m = s.x.shape[0], s.u.shape[0]
         ball = Ellipsoid(np.full(n, radius), np.eye(n), np.ones(n))
         widths = np.full((m, s.times.size), deviation)
-        phases[s.leg.name] = PhaseScales(widths, ball, ball, ball, np.full(m, cost))
+        phases[s.phase.name] = PhaseScales(widths, ball, ball, ball, np.full(m, cost))
     ends: Any = None
     states = 2 * sum(s.x.shape[0] for s in samples)
     reach, bends, terms = (

@@ -68,11 +68,11 @@ class StateConstraints:
 
     @property
     def n_rows(self) -> int:
-        return len(self.samples.leg.path_labels) + self.samples.leg.states.size
+        return len(self.samples.phase.path_labels) + self.samples.phase.states.size
 
     @cached_property
     def constraint_row_bounds(self) -> Interval:
-        return stack_intervals([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
+        return stack_intervals([self.samples.phase.path_bounds, self.samples.phase.state_bounds])
 
     def list_finite_limits(self, row: int) -> list[tuple[ArcKind, float]]:
         box = self.constraint_row_bounds
@@ -116,7 +116,7 @@ class StateConstraints:
         return after - before
 
     def get_constraint_order(self, row: int) -> ConstraintOrder:
-        return get_constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
+        return get_constraint_order(self.problem, self.problem.phases[self.samples.phase.name], row)
 
     def evaluate_constraints(self, times: Array, x: Array, u: Array) -> Array:
         """Return the values of all rows, (n_rows, n_times)."""
@@ -133,14 +133,14 @@ class StateConstraints:
         units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
         by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
         gradients = by_state * s.state_scale[:, None]
-        jumps = (s.leg.lam(times, "left") - s.leg.lam(times, "right")) * s.state_scale[:, None]
+        jumps = (s.phase.lam(times, "left") - s.phase.lam(times, "right")) * s.state_scale[:, None]
         sizes = np.linalg.norm(gradients, axis=1)
         along = np.einsum("ijk,jk->ik", gradients, jumps)
         return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
 
     def evaluate_time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
-        name, f = self.samples.leg.name, self.samples.functions
+        name, f = self.samples.phase.name, self.samples.functions
 
         def build_derivative_function() -> Any:
             symbols = *self.problem.phases[name].model.symbolic_arguments(), self.problem.parameter_symbols()
@@ -202,7 +202,7 @@ def _select_zero_curvature_directions(basis: Array, hessian: Array, flat: float)
 @lru_cache(maxsize=8)  # several conditions of a verdict need them
 def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
-    phase = s.leg
+    phase = s.phase
     found = [np.zeros((0, phase.controls.size, s.times.size))]
     if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
@@ -263,7 +263,7 @@ def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
 
 def _find_high_order_constraint_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
     """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
-    phase = rows.samples.leg
+    phase = rows.samples.phase
     labels = (*phase.path_labels, *phase.states.labels)
     if arc.phase != phase.name or arc.channel not in labels or not arc.kind.is_at_limit:
         return []
@@ -276,7 +276,7 @@ def _find_high_order_constraint_arcs(rows: StateConstraints, arc: Arc) -> list[t
 def _constrain_touch_points_and_arcs(
     rows: StateConstraints, touches: list[Junction], arcs: list[tuple[Junction, int]]
 ) -> Problem:
-    s, phase, n_paths = rows.samples, rows.samples.leg, len(rows.samples.leg.path_labels)
+    s, phase, n_paths = rows.samples, rows.samples.phase, len(rows.samples.phase.path_labels)
     kinds = np.full((rows.n_rows, phase.mesh.segments), ArcKind.INTERIOR, dtype=object)
     along = np.any(rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u)), axis=0)
     for junction in touches:
@@ -302,8 +302,8 @@ def _constrain_touch_points_and_arcs(
 def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
     """Return which constraints are active, and which have multipliers, at lower and upper limits (2, n_rows, n)."""
     s = rows.samples
-    times = s.leg.breaks[list(boundaries)]
-    point = times, s.leg.x(times), s.leg.applied(times)
+    times = s.phase.breaks[list(boundaries)]
+    point = times, s.phase.x(times), s.phase.applied(times)
     near, pushes = rows.is_near_limits(rows.evaluate_constraints(*point)), rows.compute_costate_jumps(*point)
     pushing = near & (np.stack([-pushes, pushes]) > ACTIVE * s.cost_scale)
     return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
@@ -316,7 +316,7 @@ def free_touch_point_times(solution: Solution) -> Solution:
     """
     phases = dict(solution.phases)
     for name, s in solution.samples().items():
-        mesh = s.leg.mesh
+        mesh = s.phase.mesh
         if mesh.segments < 3:
             continue
         rows = StateConstraints(solution.need_problem("linearise"), s)
@@ -325,13 +325,13 @@ def free_touch_point_times(solution: Solution) -> Solution:
         alone = pushing & ~near[:, :, :-2] & ~near[:, :, 2:]
         touched = 1 + np.flatnonzero(np.any(alone, axis=(0, 1)))
         movable = tuple({*mesh.movable, *map(int, touched)})
-        phases[name] = replace(s.leg, mesh=Mesh(mesh.breaks, mesh.degrees, movable))
+        phases[name] = replace(s.phase, mesh=Mesh(mesh.breaks, mesh.degrees, movable))
     return replace(solution, phases=phases)
 
 
 def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the touch points at movable breaks, with multipliers, and exchanges of limits."""
-    boundaries, found = rows.samples.leg.mesh.movable, []
+    boundaries, found = rows.samples.phase.mesh.movable, []
     if not boundaries:
         return ()
     pushing = _find_active_constraints(rows, boundaries)[1]
@@ -344,7 +344,7 @@ def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
 
 def _find_limit_exchanges(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
-    s, phase = rows.samples, rows.samples.leg
+    s, phase = rows.samples, rows.samples.phase
     orders = [rows.get_constraint_order(i) for i in range(len(phase.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
@@ -388,7 +388,7 @@ class PureStateConstraints:
     @classmethod
     def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> PureStateConstraints:
         """Evaluate state bounds and pure state path constraints."""
-        phase, pure = s.leg, s.pure_state_constraints
+        phase, pure = s.phase, s.pure_state_constraints
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
@@ -406,11 +406,11 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     Adjacent multiplier densities may compensate a jump of the wrong sign (`integrate_multipliers_near_boundaries`).
     The results are (n_states, K - 1) and (n_paths, K - 1); multipliers are >= 0 at upper limits.
     """
-    breaks = s.leg.breaks[1:-1]
-    jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
-    pushers = PureStateConstraints.from_states(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
+    breaks = s.phase.breaks[1:-1]
+    jumps = s.phase.lam(breaks, "left") - s.phase.lam(breaks, "right")
+    pushers = PureStateConstraints.from_states(s, breaks, s.phase.x(breaks), s.phase.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
-    densities = [s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_constraints]]
+    densities = [s.phase.state_multipliers, s.phase.path_multipliers[s.pure_state_constraints]]
     beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
     scale, spare = s.state_scale, np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
@@ -421,8 +421,8 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
         every[pushers.active[:, k], k] = sizes + least
         rest[:, k] -= directions @ (sizes + least)
     upper, lower = np.split(every, 2)
-    atoms = np.zeros((len(s.leg.path_labels), breaks.size))
-    atoms[s.pure_state_constraints] = (upper - lower)[s.leg.states.size :]
+    atoms = np.zeros((len(s.phase.path_labels), breaks.size))
+    atoms[s.pure_state_constraints] = (upper - lower)[s.phase.states.size :]
     return rest, atoms
 
 
@@ -444,7 +444,7 @@ class TransversalityResidual:
 
 def explain_transversality_residual(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
-    phase, name, pure, n = s.leg, s.leg.name, s.pure_state_constraints, s.leg.states.size
+    phase, name, pure, n = s.phase, s.phase.name, s.pure_state_constraints, s.phase.states.size
     given = phase.final_bounds if at else phase.initial_bounds
     limits = intersect_bounds(given, phase.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
@@ -467,9 +467,9 @@ def explain_transversality_residual(s: PhaseSamples, at: int, ends: EndGradients
 
 def integrate_multipliers_near_boundaries(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
-    offsets = np.array(s.leg.mesh.point_offsets[1:-1], dtype=int)
+    offsets = np.array(s.phase.mesh.point_offsets[1:-1], dtype=int)
     near = 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
-    widths = np.minimum(np.diff(s.leg.breaks), near)
+    widths = np.minimum(np.diff(s.phase.breaks), near)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)
     return np.asarray(np.where(upper > -lower, upper, lower))

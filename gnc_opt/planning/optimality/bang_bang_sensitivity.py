@@ -135,7 +135,7 @@ def integrate_bang_bang_flow(
     ``free_start`` are the rows of the initial values that are unknowns, ``refinement`` is the number of parts of every
     grid step, and ``steps`` the number of grid steps over the phase; at least one between two switches.
     """
-    phase, q = s.leg, s.functions.q
+    phase, q = s.phase, s.functions.q
     rates = problem.memoize(("flow", phase.name), lambda: _StepFunctions(s))
     start = np.concatenate([phase.x(phase.breaks[0]), np.zeros(phase.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
@@ -175,7 +175,7 @@ class _StepFunctions:
 
     def __init__(self, s: PhaseSamples) -> None:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
-        n, m, n_integrals = s.leg.states.size, s.leg.controls.size, s.leg.integrals.size
+        n, m, n_integrals = s.phase.states.size, s.phase.controls.size, s.phase.integrals.size
         n_q = s.functions.q.size
         state = ca.SX.sym("state", n + n_integrals + 1 + n_q)
         inputs = ca.SX.sym("inputs", 1 + m + s.functions.p.size)
@@ -184,7 +184,7 @@ class _StepFunctions:
 
         def evaluate_augmented_state_rate(z: Any) -> Any:
             x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
-            unused = (np.zeros(n), np.zeros(len(s.leg.path_labels)), np.zeros(n_integrals))
+            unused = (np.zeros(n), np.zeros(len(s.phase.path_labels)), np.zeros(n_integrals))
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 

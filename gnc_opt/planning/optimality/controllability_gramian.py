@@ -112,14 +112,16 @@ def compute_control_gramians(
     """Return the Gramian of every phase, in order of the initial times."""
     found: dict[str, _Gramian] = {}
     for s in samples:
-        others = {name: row for name, row in links[s.leg.name].items() if name}
-        start = _build_initial_gramian(s, others, links[s.leg.name][""], found)
-        found[s.leg.name] = _integrate_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
+        others = {name: row for name, row in links[s.phase.name].items() if name}
+        start = _build_initial_gramian(s, others, links[s.phase.name][""], found)
+        found[s.phase.name] = _integrate_gramian(
+            s, deviations[s.phase.name], start, columns.get(s.phase.name)
+        )
     return found
 
 
 def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
-    phase = s.leg
+    phase = s.phase
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))
     n, n_integrals = start.shape[0], phase.integrals.size
@@ -169,8 +171,8 @@ def differentiate_final_state_by_controls(s: PhaseSamples) -> tuple[Array, Array
 
 def sample_trajectory_at_cell_centres(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return the centres of the cells of a phase (n_cells,), states and applied controls there."""
-    times = compute_interval_midpoints(subdivide_mesh_segments(s.leg.breaks))
-    return times, s.leg.x(times), s.leg.applied(times)
+    times = compute_interval_midpoints(subdivide_mesh_segments(s.phase.breaks))
+    return times, s.phase.x(times), s.phase.applied(times)
 
 
 def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Array], Array, Array]:
@@ -179,7 +181,7 @@ def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Arr
     with np.errstate(all="ignore"):
         found = s.functions.state_jacobian(*at), s.functions.dynamics_control_jacobian(*at)
     by_state, by_control = (np.moveaxis(set_nonfinite_to_zero(jacobian), 2, 0) for jacobian in found)
-    return np.diff(subdivide_mesh_segments(s.leg.breaks)), at, by_state, by_control
+    return np.diff(subdivide_mesh_segments(s.phase.breaks)), at, by_state, by_control
 
 
 def exponentiate_matrices(matrices: Array) -> Array:
@@ -198,7 +200,7 @@ def _differentiate_integrand(
     s: PhaseSamples, times: Array, x: Array, u: Array, i: int
 ) -> tuple[Array, Array]:
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
-    none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
+    none = np.zeros_like(x), np.zeros((len(s.phase.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
 
 
@@ -237,7 +239,7 @@ def _build_initial_gramian(
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
     size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
-    size = np.where(size > 0, size, s.leg.state_bounds.interval_width_or_zero)
+    size = np.where(size > 0, size, s.phase.state_bounds.interval_width_or_zero)
     own = left * replace_zeros_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():
@@ -251,13 +253,13 @@ def differentiate_linked_initial_states(
     """Return the derivatives of the start of each phase in the ends of earlier ones (n, n_other)."""
     jacobians, found = evaluate_boundary_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
-        phase = s.leg
+        phase = s.phase
         free = np.flatnonzero(~phase.initial_bounds.is_fixed)
         size = np.max(np.abs(set_nonfinite_to_zero(s.x)), axis=1)
         unit = replace_zeros_by_one(size)[free]
         own = jacobians[phase.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
-        earlier = [other.leg.name for other in samples[:k]]
+        earlier = [other.phase.name for other in samples[:k]]
         for name, (at_start, at_end) in jacobians.items():
             linked &= ~np.any(at_start != 0, axis=1) if name != phase.name else True
             linked &= ~np.any(at_end != 0, axis=1) if name not in earlier else True

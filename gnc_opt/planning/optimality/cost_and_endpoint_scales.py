@@ -120,7 +120,7 @@ def estimate_control_deviations(s: PhaseSamples) -> Array:
     mean = about @ s.weights / lasts
     moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1))
     bends = np.sqrt(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
     slope = np.abs(set_nonfinite_to_zero(s.switching_functions))
     pull = np.where(slope > 0, np.inf, 0.0)
@@ -149,7 +149,7 @@ def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Ar
 
 def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
-    asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
+    asked, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
@@ -168,6 +168,6 @@ def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: M
     lasts = max(float(np.sum(s.weights)), TINY)
     bends = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
+    extent = s.phase.control_bounds.upper - s.phase.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
     return np.where(idle[:, None], np.fmax(other[:, None], deviation), deviation)

@@ -37,13 +37,13 @@ def find_zero_times(function: Callable[[Array], Array], rows: Indices, left: Arr
 
 def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
-    centres = build_threshold_crossing_function(problem, problem.phases[s.leg.name])
+    centres = build_threshold_crossing_function(problem, problem.phases[s.phase.name])
     if centres is None or not s.has_duration:
         return np.zeros(0)
 
     def evaluate_threshold_distances(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
-        x, u = s.leg.x(times), s.leg.applied(times)
+        x, u = s.phase.x(times), s.phase.applied(times)
         return np.asarray(evaluate_casadi_batch(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
@@ -55,4 +55,4 @@ def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> A
     found = np.concatenate([crossed, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
-    return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])
+    return np.asarray(edges[(edges > s.phase.breaks[0]) & (edges < s.phase.breaks[-1])])

@@ -112,44 +112,46 @@ class Scales:
         problem = solution.need_problem("verify")
         lasting = [s for s in samples if s.has_duration]
         ends = EndPoints.from_solution(solution, samples)
-        order = sorted(samples, key=lambda s: s.leg.initial_time)
+        order = sorted(samples, key=lambda s: s.phase.initial_time)
         links = differentiate_linked_initial_states(problem, solution, order)
-        deviations = {s.leg.name: estimate_control_deviations(s) for s in samples}
+        deviations = {s.phase.name: estimate_control_deviations(s) for s in samples}
         typical = {n: estimate_state_and_control_magnitudes(p)[0] for n, p in problem.phases.items()}
 
         def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
             gramians = compute_control_gramians(links, order, deviations, columns)
-            legs = {s.leg.name: s for s in samples}
-            return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in legs.items()}
+            phases = {s.phase.name: s for s in samples}
+            return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in phases.items()}
 
         reach = compute_reachable_sets({})
-        costs = {s.leg.name: _compute_control_costs(s, deviations[s.leg.name]) for s in samples}
+        costs = {s.phase.name: _compute_control_costs(s, deviations[s.phase.name]) for s in samples}
         flat = sum(float(np.sum(c)) for c in costs.values())
         changed = sum(
-            max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
+            max_norm(_compute_hamiltonian_second_differences(s, reach[s.phase.name][1].semi_axes))
             for s in lasting
         )
         changed += flat + ends.compute_end_cost_curvature(reach)
         least = EQUAL * changed
         resolved = dict(deviations)
         for s in lasting:
-            idle = costs[s.leg.name] <= ROUNDING * SMALL * changed
-            resolved[s.leg.name] = scale_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
+            idle = costs[s.phase.name] <= ROUNDING * SMALL * changed
+            resolved[s.phase.name] = scale_inactive_control_deviations(s, resolved[s.phase.name], idle, flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             reach = compute_reachable_sets({})
-        cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.leg.name]) for s in samples)
+        cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.phase.name]) for s in samples)
         cost += sum(_compute_end_time_shift_cost(s, ends) for s in samples)
-        controlled = any(s.leg.controls.size for s in lasting)
+        controlled = any(s.phase.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
-            moves = [np.diag(reach[s.leg.name][1].radius) for s in lasting]
+            moves = [np.diag(reach[s.phase.name][1].radius) for s in lasting]
             differences = map(_compute_hamiltonian_second_differences, lasting, moves)
             cost = changed + sum(np.sum(np.abs(change)) for change in differences)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limited = sum(_compute_cost_of_state_shift_at_limits(s, reach[s.leg.name][1].radius) for s in lasting)
+        limited = sum(
+            _compute_cost_of_state_shift_at_limits(s, reach[s.phase.name][1].radius) for s in lasting
+        )
         cost = limited if cost < SMALL * limited else cost
         curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
@@ -157,7 +159,7 @@ class Scales:
         cost = max(cost, EQUAL * abs(solution.objective), least)
         parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
-            columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
+            columns = {s.phase.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
@@ -171,7 +173,7 @@ class Scales:
 
         Relative to the cost scale of all controls, errors of low-cost controls are not visible.
         """
-        own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
+        own, bends = self.phases[s.phase.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
         cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0)
         cheap &= mask_controls_with_cost_curvature(s)
@@ -187,7 +189,7 @@ class Scales:
 
 def sample_control_deviations(s: PhaseSamples, scales: Scales, times: Array) -> Array:
     """Return the deviations of the controls at given times (m, n_times)."""
-    rows = [np.interp(times, s.times, row) for row in scales.phases[s.leg.name].deviation]
+    rows = [np.interp(times, s.times, row) for row in scales.phases[s.phase.name].deviation]
     return np.reshape(rows, (len(rows), times.size))
 
 
@@ -262,7 +264,7 @@ def _compute_end_time_shift_cost(s: PhaseSamples, ends: EndPoints) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-    slopes = ends.gradients.initial_time[s.leg.name], ends.gradients.final_time[s.leg.name]
+    slopes = ends.gradients.initial_time[s.phase.name], ends.gradients.final_time[s.phase.name]
     return float(rate) + s.span * float(sum(map(abs, slopes)))
 
 
@@ -300,15 +302,15 @@ def _differentiate_lagrangian(solution: Solution, samples: list[PhaseSamples], q
     problem, ends = solution.need_problem("verify"), {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)
-        ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
+        functions = bind_parameters(problem, s.phase.name, q, s.functions.weights)
+        ends[s.phase.name] = [*s.phase.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
-    phase, (middles, x, u) = s.leg, sample_trajectory_at_cell_centres(s)
+    phase, (middles, x, u) = s.phase, sample_trajectory_at_cell_centres(s)
     mu = np.zeros((len(phase.path_labels), middles.size))
     idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)
     rows = []
@@ -354,9 +356,9 @@ class EndPoints:
         """
         spans = []
         for s in self.samples:
-            bounds = s.leg.initial_time_bounds, s.leg.final_time_bounds
+            bounds = s.phase.initial_time_bounds, s.phase.final_time_bounds
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
-            spans += [compute_integral_scales(s), np.zeros(s.leg.parameters.size)]
+            spans += [compute_integral_scales(s), np.zeros(s.phase.parameters.size)]
         spans.append(compute_parameter_scales(self.solution))
         first, second = self._compute_endpoint_finite_differences(np.diag(np.concatenate(spans)))
         changes = np.max(np.abs(first) + 0.5 * np.abs(second), axis=1, initial=0.0)
@@ -395,7 +397,7 @@ class EndPoints:
         parts = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
         terms = np.sum(parts, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
         terms = np.append(np.fmax(np.abs(self.gradients.constraints), terms), sizes)
-        starts = [s.leg.initial_bounds.is_fixed * reach[s.leg.name][0].radius for s in self.samples]
+        starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name][0].radius for s in self.samples]
         fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
         bends = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
         return rows @ rows.T + np.diag((share * fixed) ** 2), bends, terms
@@ -418,8 +420,8 @@ class EndPoints:
         """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
-            start, _, _, end = reach[s.leg.name]
-            free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
+            start, _, _, end = reach[s.phase.name]
+            free, n = ~s.phase.initial_bounds.is_fixed, s.phase.states.size
             first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
             moves.append(self._expand_endpoint_displacements({6 * k: first[:, free] * free[:, None]}))
             moves.append(self._expand_endpoint_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
@@ -428,7 +430,7 @@ class EndPoints:
     def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[Array]:
         """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
         moves, step = [], SECOND_DIFFERENCE_STEP_SHARE * s.span
-        bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
+        bounds = (s.phase.initial_time_bounds, s.phase.final_time_bounds)
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.is_fixed[0]:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
@@ -445,7 +447,10 @@ class EndPoints:
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
-            for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
+            for place, box in (
+                (6 * k + 2, s.phase.initial_time_bounds),
+                (6 * k + 3, s.phase.final_time_bounds),
+            ):
                 if not box.is_fixed[0]:
                     moves.append(self._expand_endpoint_displacements({place: np.array([[s.span]])}))
         first, second = self._compute_endpoint_finite_differences(step * np.hstack(moves))

@@ -56,7 +56,7 @@ class Switches:
     @classmethod
     def from_samples(cls, s: PhaseSamples) -> Switches:
         """Return the switches of a phase whose controls are at bounds everywhere."""
-        phase = s.leg
+        phase = s.phase
         times, channels = find_bound_to_bound_switches(s)
         ends = phase.breaks[[0, -1]]
         at_start, at_end = _find_switching_function_zeros(s, 0), _find_switching_function_zeros(s, -1)
@@ -122,7 +122,7 @@ class Switches:
 
 def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     """Return times (s) and controls of the bound-to-bound jumps at segment boundaries."""
-    phase = s.leg
+    phase = s.phase
     breaks = phase.breaks[1:-1]
     jumps = np.abs(phase.applied(breaks) - phase.applied(breaks, "left"))
     span = phase.control_bounds.upper - phase.control_bounds.lower
@@ -134,7 +134,7 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
 
 
 def _find_switching_function_zeros(s: PhaseSamples, sample: int) -> Indices:
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     relative_slope = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((relative_slope < NEGLIGIBLE) & (bounds.upper > bounds.lower))
 
@@ -185,7 +185,7 @@ class SwitchUnknowns:
         own: dict[str, Indices] = {}
         starts: dict[str, Indices] = {}
         for s in samples:
-            phase, begin = s.leg, len(labels)
+            phase, begin = s.phase, len(labels)
             starts[phase.name] = np.flatnonzero(~phase.initial_bounds.is_fixed)
             times = ("initial time", *switches[phase.name].labels, "final time")
             labels += [f"phase {phase.name}, {what}" for what in times]
@@ -258,15 +258,15 @@ class SwitchingTimeProblem:
         problem = solution.need_problem("verify")
         flows = {}
         for s in samples:
-            asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
+            asked = (problem, s, pieces[s.phase.name], unknowns.free_start[s.phase.name])
             grid, flow = _choose_integration_grid(*asked)
             if refinement > 1:
                 flow = integrate_bang_bang_flow(*asked, refinement * grid)
-            flows[s.leg.name] = flow
+            flows[s.phase.name] = flow
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
         derivatives = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
-        sizes = [(flows[s.leg.name], _count_augmented_states(s)) for s in samples]
+        sizes = [(flows[s.phase.name], _count_augmented_states(s)) for s in samples]
         both = [values[:size] for flow, size in sizes for values in (flow.initial, flow.final_state)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
@@ -289,17 +289,17 @@ class SwitchingTimeProblem:
 
     def compute_lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
         """Return the Hessian (n, n) of L = cost + multipliers @ values, and the magnitude of its terms."""
-        n_states = sum(s.leg.states.size for s in self._samples)
+        n_states = sum(s.phase.states.size for s in self._samples)
         # Only end values and boundary constraints are nonlinear.
         on_states, nu = np.split(multipliers[: n_states + self._n_constraints], [n_states])
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
         for s in self._samples:
-            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_augmented_states(s)
+            flow, n, size = self._flows[s.phase.name], s.phase.states.size, _count_augmented_states(s)
             adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
-            places, term = self.unknowns.places[s.leg.name], np.zeros_like(terms[0])
+            places, term = self.unknowns.places[s.phase.name], np.zeros_like(terms[0])
             scale = self.unknowns.scale[places]
             term[np.ix_(places, places)] = flow.compute_adjoint_hessian(adjoint) * np.outer(scale, scale)
             terms.append(term)
@@ -311,7 +311,7 @@ def _choose_integration_grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
     """Return the step refinement with which the flow reaches the final state of the solution, and the flow."""
-    end = s.leg.x(s.leg.breaks[-1])
+    end = s.phase.x(s.phase.breaks[-1])
     flows = []
     for finer in GRIDS:
         flows.append(integrate_bang_bang_flow(problem, s, pieces, free_start, finer))
@@ -322,7 +322,7 @@ def _choose_integration_grid(
 
 
 def _count_augmented_states(s: PhaseSamples) -> int:
-    return s.leg.states.size + s.leg.integrals.size + 1
+    return s.phase.states.size + s.phase.integrals.size + 1
 
 
 def _differentiate_boundary_states(
@@ -330,7 +330,7 @@ def _differentiate_boundary_states(
 ) -> Array:
     rows = []
     for s in samples:
-        flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
+        flow, places = flows[s.phase.name], unknowns.places[s.phase.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_state_sensitivity):
             block = np.zeros((_count_augmented_states(s), unknowns.scale.size))
             block[:, places] = sensitivity[: _count_augmented_states(s)] * unknowns.scale[places]
@@ -353,7 +353,7 @@ def _collect_boundary_conditions(
     others: list[EndConditions] = []
     row = 0
     for s in samples:
-        phase, name, size, n = s.leg, s.leg.name, _count_augmented_states(s), s.leg.states.size
+        phase, name, size, n = s.phase, s.phase.name, _count_augmented_states(s), s.phase.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         limits = intersect_bounds(phase.final_bounds, phase.state_bounds)
         at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))

@@ -337,13 +337,13 @@ class Problem(ProblemData):
         jump : mapping, optional
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
-        legs = self.get_phase(first), self.get_phase(second)
-        for name, expression, value in build_linkage_constraints(self.name, *legs, states, time, jump):
+        phases = self.get_phase(first), self.get_phase(second)
+        for name, expression, value in build_linkage_constraints(self.name, *phases, states, time, jump):
             self.constrain(name, expression, equals=value)
 
     def sequence(
         self,
-        *legs: Phase | str,
+        *phases: Phase | str,
         durations: Mapping[str, Any] | None = None,
         start: Any = 0.0,
         drops: Mapping[str, Mapping[str, ArrayLike]] | None = None,
@@ -352,7 +352,7 @@ class Problem(ProblemData):
 
         Parameters
         ----------
-        *legs : Phase or str
+        *phases : Phase or str
             Phases in order, two or more.
         durations : mapping of str to float or tuple, optional
             Duration of each phase, s: a number or a range ``(lower, upper)``; default: free. Ranges with both ends
@@ -367,7 +367,7 @@ class Problem(ProblemData):
         ProblemError
             Fewer than two phases, a repeated phase, or an unknown name.
         """
-        chain = [self.get_phase(phase) for phase in legs]
+        chain = [self.get_phase(phase) for phase in phases]
         names = [phase.name for phase in chain]
         if len(set(names)) < max(2, len(names)):
             raise ProblemError(

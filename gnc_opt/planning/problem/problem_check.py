@@ -178,11 +178,11 @@ def _check_phase_start_after_predecessor(problem: ProblemData, phase: Phase) -> 
 
 def _check_boundary_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
-    box, legs = problem.get_boundary_constraint_bounds(), problem.phases.values()
+    box, phases = problem.get_boundary_constraint_bounds(), problem.phases.values()
     if not box.lower.size:
         return
     arguments: list[Interval] = []
-    for phase in legs:
+    for phase in phases:
         values, p = phase.numbers, phase.model.parameter_values
         ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
         arguments += [*ends, *phase.time_ranges(), unbounded_interval(len(phase.integrands)), Interval(p, p)]
@@ -238,15 +238,15 @@ def check_unused_controls(problem: ProblemData) -> None:
 
 def _check_unused_parameters(problem: ProblemData) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
-    legs = problem.phases.values()
+    phases = problem.phases.values()
     used = _collect_used_symbols(
         [
             ends,
-            *(problem.substitute_parameters(phase, ends) for phase in legs),
-            *(problem.substitute_parameters(phase, stack_phase_expressions(phase)) for phase in legs),
+            *(problem.substitute_parameters(phase, ends) for phase in phases),
+            *(problem.substitute_parameters(phase, stack_phase_expressions(phase)) for phase in phases),
         ]
     )
-    models = {id(phase.model): phase.model for phase in legs}.values()
+    models = {id(phase.model): phase.model for phase in phases}.values()
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:
         symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]

@@ -120,8 +120,8 @@ def _find_values_outside_tables(
 
 def list_endpoint_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
-    legs = problem.phases.values()
-    own = zip(map(list_endpoint_symbols, legs), list_model_parameter_arguments(legs), strict=True)
+    phases = problem.phases.values()
+    own = zip(map(list_endpoint_symbols, phases), list_model_parameter_arguments(phases), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 

@@ -56,7 +56,7 @@ class PhaseError:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
-        phase, s = samples.leg, samples
+        phase, s = samples.phase, samples
         integrands = s.evaluate_with_clipped_controls(s.functions.integrands)
         integral_scale = replace_tiny_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
         gaps = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
@@ -100,7 +100,7 @@ class PhaseError:
     @property
     def largest_error_location(self) -> str:
         """Location and kind of the largest error."""
-        table, phase = self.stacked_segment_errors, self.samples.leg
+        table, phase = self.stacked_segment_errors, self.samples.phase
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
         states, controls = phase.states.labels, phase.controls.labels
         names = [f"dynamics of {label}" for label in states]
@@ -125,7 +125,7 @@ def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
 
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
-    phase, pure = samples.leg, samples.pure_state_constraints
+    phase, pure = samples.phase, samples.pure_state_constraints
     on_states = np.abs(phase.state_multipliers) * samples.state_scale[:, None]
     on_paths = np.abs(phase.path_multipliers[pure]) * path_scale[pure, None]
     pushed = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)

@@ -213,7 +213,7 @@ SEGMENT_MAX_KINKS = 3
 
 def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
-    phase, worst, raised, split = error.samples.leg, error.largest_segment_errors, 0, 0
+    phase, worst, raised, split = error.samples.phase, error.largest_segment_errors, 0, 0
     excess = error.compute_required_error_reduction(INNER_TOLERANCE_SHARE * tol)
     added = np.ceil(excess / _fit_legendre_decay_rates(error))
     active = find_active_constraint_multipliers(error)
@@ -233,7 +233,7 @@ def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> lis
 
     New segments with a kink have degree 3, adjacent ones at most 6, and halves at most `HALF_MAX_DEGREE`.
     """
-    phase, worst = error.samples.leg, float(error.largest_segment_errors[k])
+    phase, worst = error.samples.phase, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
     kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
     cuts = choose_mesh_breaks_around_kinks(error, k, kinks) if kinks else []
@@ -256,7 +256,7 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
 
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
     """
-    s, phase, functions = error.samples, error.samples.leg, error.samples.functions
+    s, phase, functions = error.samples, error.samples.phase, error.samples.functions
     signals = np.concatenate(
         [
             functions.state_rates(*phase.point_trajectory) / s.state_scale[:, None],
@@ -311,7 +311,7 @@ def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink
 def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
     samples = error.samples
-    phase, bounds = samples.leg, samples.leg.control_bounds
+    phase, bounds = samples.phase, samples.phase.control_bounds
     inside = np.flatnonzero(samples.segments == k)
     times = samples.times[inside]
     margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
@@ -334,7 +334,7 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
 
 def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
-    phase = error.samples.leg
+    phase = error.samples.phase
     points, offsets = phase.point_times, phase.mesh.point_offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
     left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
@@ -366,7 +366,7 @@ def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float)
 
 def find_active_constraint_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
-    s, phase = error.samples, error.samples.leg
+    s, phase = error.samples, error.samples.phase
     times, x, u = phase.point_trajectory
     values = np.vstack([x, u, s.functions.path_constraints(times, x, u)])
     box = stack_intervals([phase.state_bounds, phase.control_bounds, phase.path_bounds])
@@ -383,7 +383,7 @@ def choose_mesh_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]
 
     If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.
     """
-    phase = error.samples.leg
+    phase = error.samples.phase
     left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * phase.duration)
@@ -401,7 +401,7 @@ def choose_mesh_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]
 
 def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
-    s, phase, inside = error.samples, error.samples.leg, error.samples.segments == k
+    s, phase, inside = error.samples, error.samples.phase, error.samples.segments == k
     paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
     of_states = phase.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
     of_paths = phase.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]

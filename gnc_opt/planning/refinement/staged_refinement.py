@@ -408,8 +408,8 @@ def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:
     """
     phases = dict(solution.phases)
     for name, s in solution.samples().items():
-        if s.leg.controls.size:
+        if s.phase.controls.size:
             times, controls = minimise_hamiltonian(s)
-            nearest = np.argmin(np.abs(times[:, None] - s.leg.point_times), axis=0)
-            phases[name] = replace(s.leg, u=s.leg.interpolate_point_values(controls[:, nearest]))
+            nearest = np.argmin(np.abs(times[:, None] - s.phase.point_times), axis=0)
+            phases[name] = replace(s.phase, u=s.phase.interpolate_point_values(controls[:, nearest]))
     return replace(solution, phases=phases)

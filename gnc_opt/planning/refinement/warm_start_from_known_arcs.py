@@ -71,7 +71,7 @@ class KnownSwitches:
         if not solution.structure or len(solution.phases) != 1 or not bounded:
             return None
         (s,) = solution.samples().values()
-        structure = detect_control_structure(s).replace_arcs(solution.structure, s.leg)
+        structure = detect_control_structure(s).replace_arcs(solution.structure, s.phase)
         return cls(replace(solution, structure=()), structure, s.state_scale)
 
     def with_newton_step(self) -> KnownSwitches | None:

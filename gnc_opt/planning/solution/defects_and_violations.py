@@ -221,11 +221,11 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits) -> Violations:
         beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
         left, right = (samples.times[neighbours] for neighbours in beside)
         chosen = limits.select_limits(k[hidden])
-        peaks, heights = _locate_violation_peaks(samples.leg, chosen, left, right)
+        peaks, heights = _locate_violation_peaks(samples.phase, chosen, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
-        x[:, places], u[:, places] = samples.leg.x(times[places]), samples.leg.applied(times[places])
+        x[:, places], u[:, places] = samples.phase.x(times[places]), samples.phase.applied(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
     beyond = beyond[_select_largest_violation_peaks(k[beyond], excess[beyond])]
     return Violations(
@@ -304,19 +304,19 @@ def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
 
 def compute_segment_defects(samples: PhaseSamples) -> Array:
     """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
-    phase, inner = samples.leg, samples.leg.breaks[1:-1]
+    phase, inner = samples.phase, samples.phase.breaks[1:-1]
     errors = samples.integrate_over_segments(np.abs(compute_dynamics_residual(samples, samples.u_polynomial)))
     errors[:, :-1] += np.abs(phase.x(inner, "right") - phase.x(inner, "left"))
     return errors / samples.state_scale[:, None]
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
-    labels = samples.leg.states.labels
+    labels = samples.phase.states.labels
     defects = compute_segment_defects(samples)
     return Worst.find_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
 
 
 def compute_final_propagation_error(samples: PhaseSamples) -> float:
     """Return the largest propagation error of the applied control, relative to `state_scale`."""
-    run = integrate_dynamics(samples.leg, samples.functions)
+    run = integrate_dynamics(samples.phase, samples.functions)
     return float(np.max(np.abs(run.error) / samples.state_scale))

@@ -65,7 +65,7 @@ class PhaseSamples:
     `EndPoints.compute_endpoint_changes`); ``feature_edges`` are edges of additional cells (s).
     """
 
-    leg: PhaseSolution
+    phase: PhaseSolution
     functions: PhaseFunctions
     times: Array
     segments: Indices
@@ -93,7 +93,7 @@ class PhaseSamples:
     def with_cost_scale(self, amount: float, feature_edges: Array) -> PhaseSamples:
         """Return samples with another cost magnitude and further cells; without these, cached values are kept."""
         if feature_edges.size:
-            return replace(self.from_phase(self.leg, self.functions, feature_edges), cost_magnitude=amount)
+            return replace(self.from_phase(self.phase, self.functions, feature_edges), cost_magnitude=amount)
         other = replace(self, cost_magnitude=amount)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
         vars(other).update(cached)
@@ -104,7 +104,7 @@ class PhaseSamples:
 
         Every segment has at least ``least`` steps.
         """
-        breaks = self.leg.breaks
+        breaks = self.phase.breaks
         widths = np.diff(breaks)
         steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
         pieces = zip(breaks[:-1], breaks[1:], steps, strict=True)
@@ -131,7 +131,7 @@ class PhaseSamples:
         """
         if not self.functions.has_discontinuous_rates:
             return self.times
-        starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
+        starts, ends = self.phase.breaks[self.segments], self.phase.breaks[self.segments + 1]
         return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))
 
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
@@ -144,22 +144,22 @@ class PhaseSamples:
     @cached_property
     def x(self) -> Array:
         """States (n, n_samples)."""
-        return self.sample_signal(self.leg.x)
+        return self.sample_signal(self.phase.x)
 
     @cached_property
     def x_rate(self) -> Array:
         """Time derivatives of the state polynomials."""
-        return self.sample_signal(self.leg.x.derivative())
+        return self.sample_signal(self.phase.x.derivative())
 
     @cached_property
     def u_polynomial(self) -> Array:
         """Controls as collocation polynomials (m, n_samples)."""
-        return self.sample_signal(self.leg.u)
+        return self.sample_signal(self.phase.u)
 
     @cached_property
     def u(self) -> Array:
         """Applied controls, within bounds."""
-        return self.sample_signal(self.leg.applied)
+        return self.sample_signal(self.phase.applied)
 
     def evaluate_with_clipped_controls(
         self, function: Callable[[Array, Array, Array], Array], u: Array | None = None
@@ -168,7 +168,7 @@ class PhaseSamples:
 
         Where it is not finite, controls are clipped to their bounds.
         """
-        u, bounds = self.u_polynomial if u is None else u, self.leg.control_bounds
+        u, bounds = self.u_polynomial if u is None else u, self.phase.control_bounds
         values = function(self.times_inside_segments, self.x, u)
         lost = np.any(np.isnan(values), axis=0)
         if np.any(lost):
@@ -180,9 +180,9 @@ class PhaseSamples:
     @cached_property
     def inactive_controls(self) -> Mask:
         """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""
-        layout, bounds = self.leg.controls, self.leg.control_bounds
-        vectors = self.leg.vector_controls
-        rows = {label: row for row, label in enumerate(self.leg.path_labels)}
+        layout, bounds = self.phase.controls, self.phase.control_bounds
+        vectors = self.phase.vector_controls
+        rows = {label: row for row, label in enumerate(self.phase.path_labels)}
         norms = {
             i: rows[vector.direction_norm_constraint_name]
             for vector in vectors
@@ -200,27 +200,27 @@ class PhaseSamples:
     @cached_property
     def is_at_control_bounds(self) -> Mask:
         """Whether controls are at their lower and at their upper bound (2, m, n_samples)."""
-        return np.stack(self.leg.control_bounds.is_near_limits(self.u, AT_LIMIT * self.control_scale))
+        return np.stack(self.phase.control_bounds.is_near_limits(self.u, AT_LIMIT * self.control_scale))
 
     @cached_property
     def lam(self) -> Array:
         """Costates (n, n_samples)."""
-        return self.sample_signal(self.leg.lam)
+        return self.sample_signal(self.phase.lam)
 
     @cached_property
     def lam_rate(self) -> Array:
         """Time derivatives of the costate polynomials."""
-        return self.sample_signal(self.leg.lam.derivative())
+        return self.sample_signal(self.phase.lam.derivative())
 
     @cached_property
     def mu(self) -> Array:
         """Path multiplier densities (n_paths, n_samples)."""
-        return self.sample_signal(self.leg.path_multiplier)
+        return self.sample_signal(self.phase.path_multiplier)
 
     @cached_property
     def state_multiplier(self) -> Array:
         """State bound multiplier densities (n, n_samples)."""
-        return self.sample_signal(self.leg.state_multiplier)
+        return self.sample_signal(self.phase.state_multiplier)
 
     def adjoint_residual(self, u: Array, mu: Array) -> Array:
         """Return the residual of the adjoint equation for given controls and path multipliers (n, n_samples)."""
@@ -245,21 +245,21 @@ class PhaseSamples:
     @cached_property
     def state_scale(self) -> Array:
         """Variation scale of each state along the phase (n,); see module `state_and_control_scales`."""
-        return compute_state_scales(self.leg, self.functions, self.control_span, lasting=self.has_duration)
+        return compute_state_scales(self.phase, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
         """Scale of each control, from its own variation or the costates (m,); module `state_and_control_scales`."""
         terms = np.abs(self.switching_functions - self.cost_gradient)
         most = float(np.nanmax(self._costate_rate_product_magnitudes, initial=0.0))
-        asked = estimate_required_controls(self.leg, self.functions)
+        asked = estimate_required_controls(self.phase, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
+        spans = compute_control_scales(self.phase, self.u, terms, curvature, most, asked)
         quadratic = [self._is_hamiltonian_quadratic(i, spans[i], curvature[i]) for i in range(spans.size)]
         if all(quadratic):
             return spans
         curvature = np.where(np.array(quadratic)[:, None], curvature, 0.0)
-        return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
+        return compute_control_scales(self.phase, self.u, terms, curvature, most, asked)
 
     def _is_hamiltonian_quadratic(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
@@ -273,7 +273,7 @@ class PhaseSamples:
     @cached_property
     def angular_control_periods(self) -> Array:
         """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
-        bounds = self.leg.control_bounds
+        bounds = self.phase.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper) & ~self.functions.separable_controls
         probe = AngleProbe(
             lambda u: self.functions.evaluate_rates_paths_and_integrands(self.times, self.x, u), self.u
@@ -310,7 +310,7 @@ class PhaseSamples:
     @property
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
-        changes = take_largest_variable_component(self._hamiltonian_changes_per_control, self.leg.controls)
+        changes = take_largest_variable_component(self._hamiltonian_changes_per_control, self.phase.controls)
         return np.maximum(changes, NOTABLE * self.max_hamiltonian_change)
 
     @property
@@ -322,7 +322,7 @@ class PhaseSamples:
     @cached_property
     def control_scale(self) -> Array:
         """Range of each control, or its variation if a limit is far away; its magnitude without limits (m,)."""
-        span, reach = self.leg.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
+        span, reach = self.phase.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
         span = np.where(span > FAR_LIMIT_RATIO * self.control_span, self.control_span, span)
         return np.where(span > 0, span, replace_tiny_by_one(reach))
 
@@ -361,7 +361,7 @@ class PhaseSamples:
     @property
     def has_fixed_duration(self) -> bool:
         """Whether initial and final time of the phase, or its duration, are fixed."""
-        phase = self.leg
+        phase = self.phase
         ends = phase.initial_time_bounds.is_fixed[0] and phase.final_time_bounds.is_fixed[0]
         return bool(ends or phase.duration_bounds.is_fixed[0])
 
@@ -373,7 +373,7 @@ class PhaseSamples:
     @property
     def has_duration(self) -> bool:
         """Whether the phase is not empty: its duration is not at a lower bound of zero."""
-        phase, first, last = self.leg, self.leg.initial_time_bounds, self.leg.final_time_bounds
+        phase, first, last = self.phase, self.phase.initial_time_bounds, self.phase.final_time_bounds
         least = max(phase.duration_bounds.lower[0], last.lower[0] - first.upper[0])
         most = min(phase.duration_bounds.upper[0], last.upper[0] - first.lower[0])
         near = min(AT_LIMIT * most, MAGNITUDE_FLOOR) if np.isfinite(most) else SHORTEST
@@ -408,20 +408,20 @@ class PhaseSamples:
 
     def describe_time(self, time: float, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for any time."""
-        return f"phase {self.leg.name}, t = {self.describe_times(time)}{f', {what}' if what else ''}"
+        return f"phase {self.phase.name}, t = {self.describe_times(time)}{f', {what}' if what else ''}"
 
     def describe_times(self, *times: float) -> str:
         """Return one time, or several joined by "to", in the unit of time."""
         return f"{' to '.join(f'{t:.6g}' for t in times)} {self.functions.time_unit}"
 
     def describe_segment(self, segment: int, what: str) -> str:
-        times = self.describe_times(*self.leg.breaks[segment : segment + 2])
-        return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
+        times = self.describe_times(*self.phase.breaks[segment : segment + 2])
+        return f"phase {self.phase.name}, segment {segment + 1} ({times}), {what}"
 
     @cached_property
     def segment_starts(self) -> Indices:
         """First sample of each segment (K,)."""
-        return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
+        return np.searchsorted(self.segments, np.arange(self.phase.mesh.segments))
 
     def integrate_over_segments(self, values: Array) -> Array:
         """Return the integrals of values (..., n_samples) over each segment (..., K); values at its ends may be NaN."""
@@ -430,7 +430,7 @@ class PhaseSamples:
 
     def quadrature_integrals(self) -> Array:
         """Return the integrals over each segment by the quadrature of the collocation points: (n_integrals, K)."""
-        phase = self.leg
+        phase = self.phase
         values = self.functions.integrands(*phase.point_trajectory) * phase.point_weights
         return np.asarray(np.add.reduceat(values, phase.mesh.point_offsets[:-1], axis=1))
 

@@ -276,7 +276,7 @@ class Solution(PrintableResult):
         for name, phase in problem.phases.items():
             if list_table_calls(problem, phase):
                 s = self._cached_phase_samples[name]
-                numbers = s.leg.parameters, self.parameter_values
+                numbers = s.phase.parameters, self.parameter_values
                 found += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *numbers)
         ends = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
         return found + find_boundary_values_outside_tables(problem, [*ends, self.parameter_values])

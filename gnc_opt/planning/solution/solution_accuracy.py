@@ -66,8 +66,8 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
             defects = np.abs(_compute_cost_of_segment_defects(s))
             paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
-            excess = _weight_violations_by_multipliers(s, paths, s.leg.path_bounds, s.mu)
-            excess += _weight_violations_by_multipliers(s, s.x, s.leg.state_bounds, s.state_multiplier)
+            excess = _weight_violations_by_multipliers(s, paths, s.phase.path_bounds, s.mu)
+            excess += _weight_violations_by_multipliers(s, s.x, s.phase.state_bounds, s.state_multiplier)
             infeasibility += np.sum(defects + excess)
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
     found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
@@ -76,7 +76,7 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
 
 def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
-    phase, weights = s.leg, s.functions.weights
+    phase, weights = s.phase, s.functions.weights
     total = -s.integrate_over_segments(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
         integrands = weights @ s.evaluate_with_clipped_controls(s.functions.integrands)
@@ -103,16 +103,16 @@ def _weight_violations_by_multipliers(
 
 def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     """Return |g| of each segment (K,)."""
-    if not s.leg.controls.size:
-        return np.zeros(s.leg.mesh.segments)
-    bounds = s.leg.path_bounds  # interpolated multipliers may have the wrong sign between the points
+    if not s.phase.controls.size:
+        return np.zeros(s.phase.mesh.segments)
+    bounds = s.phase.path_bounds  # interpolated multipliers may have the wrong sign between the points
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
     slope = set_nonfinite_to_zero(s.functions.control_gradient(*at))
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = set_nonfinite_to_zero(curvature)
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
@@ -203,7 +203,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
-        phase, edges = s.leg, s.leg.applied.jump_times
+        phase, edges = s.phase, s.phase.applied.jump_times
         pieces = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
         pieces[:, -1] = edges[1:]  # exact
         u = phase.applied(pieces.ravel())
@@ -222,7 +222,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
 
 def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
-    phase, box = s.leg, s.leg.final_bounds
+    phase, box = s.phase, s.phase.final_bounds
     miss = np.abs(end - phase.x(phase.breaks[-1], "left"))
     error = np.max([miss, box.lower - end, end - box.upper], axis=0)
     if not np.all(np.isfinite(error)):

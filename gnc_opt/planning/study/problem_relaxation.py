@@ -48,11 +48,11 @@ def _select_maximal_state_subsets(sets: list[Mask]) -> Iterator[Mask]:
 
 def _list_states_closed_under_dynamics(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
-    legs = list(problem.phases.values())
-    owner = np.repeat(np.arange(len(legs)), [phase.model.states.size for phase in legs])
+    phases = list(problem.phases.values())
+    owner = np.repeat(np.arange(len(phases)), [phase.model.states.size for phase in phases])
     needs = np.eye(owner.size, dtype=bool)
     ties = [_find_states_in_end_expression(problem, problem.constraint_expression())]
-    for i, phase in enumerate(legs):
+    for i, phase in enumerate(phases):
         own, x = owner == i, phase.model.symbols("state")
         needs[np.ix_(own, own)] |= _build_jacobian_sparsity_mask(phase.model.state_derivative(), x)
         rows = np.zeros((phase.path_expression().numel(), owner.size), dtype=bool)
@@ -67,7 +67,7 @@ def _list_states_closed_under_dynamics(problem: Problem) -> Iterator[Mask]:
             if (
                 not closed.all()
                 and closed.tobytes() not in known
-                and np.unique(owner[closed]).size == len(legs)
+                and np.unique(owner[closed]).size == len(phases)
             ):
                 known.add(closed.tobytes())
                 yield closed
@@ -103,7 +103,7 @@ def _find_states_in_end_expression(problem: Problem, expression: Any) -> Mask:
 
 class _ReducedPhase:
     def __init__(self, phase: Phase, states: Mask, integrals: Mask) -> None:
-        self.leg, self.states = phase, states
+        self.phase, self.states = phase, states
         _, x, u, _ = phase.model.symbolic_arguments()
         rates, paths = phase.model.state_derivative()[np.flatnonzero(states)], phase.path_expression()
         self.integrands = {
@@ -130,7 +130,7 @@ class _ReducedPhase:
 
     def build_model_with_fewer_states(self, used: set[int]) -> tuple[Model, Any, Any]:
         """Return the reduced model, and the old symbols with their replacements."""
-        old, model = self.leg.model, Model(self.leg.model.name)
+        old, model = self.phase.model, Model(self.phase.model.name)
         t, x, u, p = old.symbolic_arguments()
         for layout, kept, declare in (
             (old.states, self.states, model.state),
@@ -183,7 +183,7 @@ def _build_relaxed_problem(
         dict.fromkeys(
             name
             for p in parts
-            for name, _ in _list_retained_variable_components(p.leg.model.states, p.states)
+            for name, _ in _list_retained_variable_components(p.phase.model.states, p.states)
         )
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
@@ -191,14 +191,14 @@ def _build_relaxed_problem(
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
         model, old, new = part.build_model_with_fewer_states(used)
-        phase = relaxed.phase(part.leg.name, model)
+        phase = relaxed.phase(part.phase.name, model)
         _declare_limits_of_reduced_phase(phase, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
-        before += [old, part.leg.initial_time, part.leg.final_time]
+        before += [old, part.phase.initial_time, part.phase.final_time]
         after += [new, phase.initial_time, phase.final_time]
-        before += [part.leg.end_states("initial")[kept], part.leg.end_states("final")[kept]]
+        before += [part.phase.end_states("initial")[kept], part.phase.end_states("final")[kept]]
         after += [phase.end_states("initial"), phase.end_states("final")]
-        before += [part.leg.integrands[name][0] for name in part.integrands]
+        before += [part.phase.integrands[name][0] for name in part.integrands]
         after += [phase.integrands[name][0] for name in part.integrands]
     cost, rows = (
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
@@ -207,7 +207,9 @@ def _build_relaxed_problem(
         label = _convert_label_to_constraint_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
-    return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
+    return Relaxation(
+        relaxed, {p.phase.name: p.states for p in parts}, {p.phase.name: p.controls for p in parts}
+    )
 
 
 def _declare_free_parameters(
@@ -217,7 +219,7 @@ def _declare_free_parameters(
     before, after = [], []
     for name in problem.parameters.names:
         symbols = [problem.parameter_symbols()[problem.parameters.slice(name)]]
-        symbols += [p.leg.model.symbol(name) for p in parts if name in p.leg.model.parameters]
+        symbols += [p.phase.model.symbol(name) for p in parts if name in p.phase.model.parameters]
         scalars = {s.element_hash() for column in symbols for s in ca.vertsplit(column)}
         if scalars & used:
             box, guess = problem.parameter_bounds[name], problem.parameter_guess[name]
@@ -232,7 +234,7 @@ def _declare_free_parameters(
 
 def _declare_limits_of_reduced_phase(phase: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
     """Declare the limits, path constraints and integrals of the reduced phase."""
-    old, states, controls = part.leg.numbers, part.states, part.controls
+    old, states, controls = part.phase.numbers, part.states, part.controls
     phase.numbers = replace(
         phase.numbers,
         initial_time=old.initial_time,
@@ -243,8 +245,8 @@ def _declare_limits_of_reduced_phase(phase: Phase, part: _ReducedPhase, before: 
         states=old.states.select_components(states),
         controls=old.controls.select_components(controls),
     )
-    limits = part.leg.get_path_bounds().select_components(part.rows)
-    labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
+    limits = part.phase.get_path_bounds().select_components(part.rows)
+    labels = [label for label, kept in zip(part.phase.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
         phase.path(

@@ -30,8 +30,8 @@ ACTIVE_LIMIT_TIMES = 24
 
 def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
     """Return the costate jumps (n,) that affect the cost, by time."""
-    inner = s.leg.breaks[1:-1]
-    jumps = s.leg.lam(inner, "left") - s.leg.lam(inner, "right")
+    inner = s.phase.breaks[1:-1]
+    jumps = s.phase.lam(inner, "left") - s.phase.lam(inner, "right")
     sizes = np.max(np.abs(jumps) * s.state_scale[:, None], axis=0)
     large = sizes > NEGLIGIBLE * s.cost_scale
     return {float(t): jump for t, jump in zip(inner[large], jumps.T[large], strict=True)}
@@ -49,7 +49,7 @@ def compute_touch_point_lagrangian(
     shifted = StateConstraints(problem, replace(s, functions=functions))
     t, moved = np.full(count, time), x - x[:, -1:]
     before, after = (
-        np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
+        np.repeat(s.phase.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
     )
     values = shifted.evaluate_constraints(t, x, after)
     near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
@@ -74,17 +74,17 @@ def compute_touch_point_lagrangian(
 
 def mask_limits_with_multipliers(s: PhaseSamples, times: Array) -> Mask:
     """Return whether path constraints and state bounds affect the cost at times (n_rows, n_times), in this order."""
-    density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
+    density = np.vstack([s.phase.path_multiplier(times), s.phase.state_multiplier(times)])
     scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
     return np.asarray(np.abs(density) * scale * s.span > NEGLIGIBLE * s.cost_scale)
 
 
 def mask_controls_set_by_active_limits(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control (m, n_times)."""
-    held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
+    held = np.zeros((s.phase.controls.size, times.size), dtype=bool)
     for row, acting in enumerate(mask_limits_with_multipliers(s, times)):
         if np.any(acting):
-            held[list(get_constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
+            held[list(get_constraint_order(problem, problem.phases[s.phase.name], row).controls)] |= acting
     return held
 
 
@@ -94,7 +94,7 @@ def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
     if not chosen.size or not np.any(acting := mask_limits_with_multipliers(s, chosen)):
         return {}
-    phase, found = s.leg, {}
+    phase, found = s.phase, {}
     units = np.repeat(np.eye(phase.states.size)[:, :, None], chosen.size, axis=2)
     by_path = s.functions.path_state_jacobian(chosen, phase.x(chosen), phase.applied(chosen))
     density = np.vstack([phase.path_multiplier(chosen), phase.state_multiplier(chosen)])

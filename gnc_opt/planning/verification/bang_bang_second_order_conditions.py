@@ -91,7 +91,7 @@ class _SwitchingFunctionZero:
 
 
 def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZero | None:
-    phase = s.leg
+    phase = s.phase
     times, channels = find_bound_to_bound_switches(s)
     if not times.size:
         return None
@@ -123,7 +123,7 @@ def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time:
     """Return the largest wrong-sign value of a switching function between the adjacent switches, relative to H."""
     before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
     near = (s.times >= before) & (s.times <= after)
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     side = np.sign(s.u[i, near] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
     return float(
         np.max(side * _evaluate_switching_functions(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale)
@@ -137,7 +137,7 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
     slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds, on_bound = s.leg.control_bounds, np.any(s.is_at_control_bounds, axis=0)
+    bounds, on_bound = s.phase.control_bounds, np.any(s.is_at_control_bounds, axis=0)
     affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
@@ -147,9 +147,7 @@ def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
-            return (
-                f"{s.describe_sample(int(touching[0]) + 1, s.leg.controls.labels[i])}: zero between switches"
-            )
+            return f"{s.describe_sample(int(touching[0]) + 1, s.phase.controls.labels[i])}: zero between switches"
     return ""
 
 
@@ -191,7 +189,7 @@ def check_bang_bang_second_order(
     ) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
-    switches = {s.leg.name: Switches.from_samples(s) for s in samples}
+    switches = {s.phase.name: Switches.from_samples(s) for s in samples}
     if np.prod([float(s.n_switch_sequences) for s in switches.values()]) > MOST_ORDERS:
         reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
         return make_second_order_condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
@@ -213,7 +211,7 @@ def check_bang_bang_second_order(
         small = abs(worst.least) <= worst.error
         place += ": the curvature is within its error" if small else ": negative, but limits may exclude it"
         place = NOT_FLOWN if np.isnan(worst.least) else place
-    phases = ", ".join(s.leg.name for s in samples)
+    phases = ", ".join(s.phase.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
     return make_second_order_condition(
         worst.condition_result, value, -worst.error, f"phase {phases}: {place}"
@@ -325,17 +323,17 @@ def explain_why_not_bang_bang(samples: list[PhaseSamples]) -> str:
     """Return the reason why the switching-time problem does not apply, or ""."""
     for s in samples:
         if not s.has_duration:
-            return f"phase {s.leg.name} has no length"
+            return f"phase {s.phase.name} has no length"
         on_bound = np.any(s.is_at_control_bounds, axis=0)
         if not np.all(on_bound):
             i, j = np.argwhere(~on_bound)[0]
-            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its limits"
-        if max_norm(s.leg.path_multipliers) > NEGLIGIBLE * s.hamiltonian_scale:
-            return f"phase {s.leg.name}: a path constraint is active"
-        relative_slopes = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
+            return f"{s.describe_sample(j, s.phase.controls.labels[i])}: the control is between its limits"
+        if max_norm(s.phase.path_multipliers) > NEGLIGIBLE * s.hamiltonian_scale:
+            return f"phase {s.phase.name}: a path constraint is active"
+        relative_slopes = np.abs(s.phase.state_multipliers) * s.state_scale[:, None] * s.phase.duration
         if np.max(relative_slopes, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
-            return f"phase {s.leg.name}: a state bound is active"
-        jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
+            return f"phase {s.phase.name}: a state bound is active"
+        jumps = np.abs(s.phase.lam_end[:, :-1] - s.phase.lam_start[:, 1:]) * s.state_scale[:, None]
         if np.max(jumps, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
-            return f"phase {s.leg.name}: the trajectory touches a state constraint"
+            return f"phase {s.phase.name}: the trajectory touches a state constraint"
     return ""

@@ -57,10 +57,10 @@ def impose_constraints_active_at_ends(
         return solution, ends
     problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
     for s, end, at, rows in met:
-        phase = problem.phases[s.leg.name]
+        phase = problem.phases[s.phase.name]
         box = phase.get_path_bounds()
         for row in rows:
-            label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
+            label = f"{s.phase.path_labels[row]}, {end} end of phase {s.phase.name}"
             expression = _express_path_constraint_at_end(phase, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
@@ -78,7 +78,7 @@ def impose_constraints_active_at_ends(
 
 def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
-    phase, pure = s.leg, s.pure_state_constraints
+    phase, pure = s.phase, s.pure_state_constraints
     end, point = s.times[[at]], phase.point_times[[at]]
     values = np.hstack([s.functions.path_constraints(t, phase.x(t), phase.applied(t)) for t in (end, point)])
     near = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
@@ -97,7 +97,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     """Return the residual of the adjoint equation, and costate jumps without an active state constraint."""
     worst = NOTHING
     for s in samples:
-        along, cost = scales.phases[s.leg.name].along, scales.cost
+        along, cost = scales.phases[s.phase.name].along, scales.cost
         share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
         if s.pure_state_constraints.size:
             share = np.fmin(
@@ -108,27 +108,27 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], along.radius)}"
         )
         worst = worst.select_larger(Worst(float(share[k]), place))
-        if s.leg.mesh.segments > 1:
+        if s.phase.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
             share = along.support_function(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             label = _find_state_of_costliest_gradient(s, jumps[:, k], along.radius)
-            place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
+            place = s.describe_time(s.phase.breaks[k + 1], f"jump of the costate of {label}")
             worst = worst.select_larger(Worst(float(share[k]), place))
     return worst
 
 
 def _find_state_of_costliest_gradient(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     """Return the label of the state whose gradient costs most along its reach."""
-    return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
+    return s.phase.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
 
 def _evaluate_costate_residuals(
     s: PhaseSamples, mu: Array, scales: Scales, tolerance: float
 ) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
-    along = scales.phases[s.leg.name].along
+    along = scales.phases[s.phase.name].along
     residual = s.adjoint_residual(s.u, mu)
     total = s.integrate_over_segments(residual)
     inside = s.segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(tolerance)
@@ -138,7 +138,7 @@ def _evaluate_costate_residuals(
 
 def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
-    phase = s.leg
+    phase = s.phase
     inner = [
         np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool)
         for rule in phase.collocation_rules
@@ -154,7 +154,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     """Return the residuals of the transversality conditions, of costates at free ends and of H at free times."""
     worst = NOTHING
     for s in samples:
-        own = scales.phases[s.leg.name]
+        own = scales.phases[s.phase.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
         gaps = {end: explain_transversality_residual(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
@@ -166,7 +166,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             if end == "end":
                 violation = max(violation, scales.estimate_control_change_by_costate_gap(s, left))
             state = _find_state_of_costliest_gradient(s, left, ellipsoid.radius)
-            place = f"phase {s.leg.name}, {end}, costate of {state}"
+            place = f"phase {s.phase.name}, {end}, costate of {state}"
             worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
@@ -175,7 +175,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
 
 def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
     """Return the residual for free times; ``pushes``: contributions of time-dependent path constraints at both ends."""
-    phase, name = s.leg, s.leg.name
+    phase, name = s.phase, s.phase.name
     boxes, lasts = phase.duration_bounds, np.array([phase.duration])
     # A multiplier of the duration counts only if a bound of the duration is active.
     exerted = np.array([phase.duration_multiplier])
@@ -218,9 +218,9 @@ def check_complementarity(
     """Return the largest effect on the cost of a multiplier of an inactive limit, or of one with the wrong sign."""
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
-        own = scales.phases[s.leg.name]
+        own = scales.phases[s.phase.name]
         worst = worst.select_larger(_check_costate_jumps_at_state_bounds(s, scales))
-        phase, times = s.leg, s.leg.point_times
+        phase, times = s.phase, s.phase.point_times
         x, u = phase.x(times), np.hstack(phase.u.values)
         paths = s.functions.path_constraints(times, x, u)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
@@ -262,7 +262,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
 
 def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
-    phase, breaks = s.leg, s.leg.breaks[1:-1]
+    phase, breaks = s.phase, s.phase.breaks[1:-1]
     impulses, beside = (
         phase.state_impulses[:, 1:-1],
         integrate_multipliers_near_boundaries(s, phase.state_multipliers),
@@ -306,7 +306,7 @@ def check_parameter_stationarity(
 
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
-    phase = s.leg
+    phase = s.phase
     pushes = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
     atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
     times = phase.breaks[[0, *range(1, phase.mesh.segments), -1]]

@@ -31,8 +31,8 @@ from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
     """Return the vector control of a group, if H is affine in it and only its length is limited."""
-    layout = s.leg.controls
-    for vector in s.leg.vector_controls:
+    layout = s.phase.controls
+    for vector in s.phase.vector_controls:
         places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
         if not np.array_equal(np.sort(np.concatenate(places)), group):
             continue
@@ -41,7 +41,9 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
         curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
         across = {(int(i), int(j)) for i in places[0] for j in places[1]}
         rows = {
-            s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
+            s.phase.path_labels[i]
+            for i, j in zip(limited.row(), limited.get_col(), strict=True)
+            if j in group
         }
         if curved <= across | {(j, i) for i, j in across} and rows == {vector.direction_norm_constraint_name}:
             return vector
@@ -54,7 +56,7 @@ def differentiate_augmented_hamiltonian(
     """Return d(H + mu.c)/du (m, n_times); for a zero magnitude with its optimal direction."""
     gradient = s.functions.control_gradient(times, x, u, lam, mu)
     for vector in filter(None, (find_vector_control(s, group) for group in s.functions.coupled_controls)):
-        magnitude, direction = (s.leg.controls.slice(part) for part in vector.parts)
+        magnitude, direction = (s.phase.controls.slice(part) for part in vector.parts)
         at = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
         pushing = u[:, at].copy()
         pushing[magnitude] = 1.0
@@ -68,20 +70,20 @@ def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSam
     """Return the cone with directions fixed where their magnitude is, and inactive angles fixed."""
     strong = cone.strong.copy()
     for s in samples:
-        collocation = cone.point.transcription.parts[s.leg.name].collocation
+        collocation = cone.point.transcription.parts[s.phase.name].collocation
         places = collocation.point_controls
-        times = s.leg.initial_time + s.leg.duration * collocation.normalised_point_times
+        times = s.phase.initial_time + s.phase.duration * collocation.normalised_point_times
         for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
             alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
-        for vector in s.leg.vector_controls:
+        for vector in s.phase.vector_controls:
             magnitude, direction = (
-                collocation.point_controls[s.leg.controls.slice(part)] for part in vector.parts
+                collocation.point_controls[s.phase.controls.slice(part)] for part in vector.parts
             )
             size = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
-            scale = s.control_scale[s.leg.controls.slice(vector.magnitude)][0]
+            scale = s.control_scale[s.phase.controls.slice(vector.magnitude)][0]
             idle = strong[magnitude[0]] & (size <= AT_LIMIT * scale)
-            length = collocation.path_rows[s.leg.path_labels.index(vector.direction_norm_constraint_name)]
+            length = collocation.path_rows[s.phase.path_labels.index(vector.direction_norm_constraint_name)]
             strong[direction[:, idle]] = True
             strong[cone.point.x.size + length[idle]] = False
     return replace(cone, strong=strong)
@@ -92,12 +94,12 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
     point = cone.point
     found = []
     for s in samples:
-        part = point.transcription.parts[s.leg.name]
+        part = point.transcription.parts[s.phase.name]
         rows, starts = np.nonzero(_find_arc_entries(cone, s, part))
         if not rows.size:
             continue
-        breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
-        at = breaks, s.leg.x(breaks), s.leg.applied(breaks)
+        breaks = np.interp(part.collocation.mesh.breaks, s.phase.mesh.breaks, s.phase.breaks)
+        at = breaks, s.phase.x(breaks), s.phase.applied(breaks)
         places, gradients = differentiate_path_constraints(point.transcription, part, s.functions, at)
         values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
         lines = np.tile(np.arange(rows.size), places.shape[0])
@@ -183,9 +185,9 @@ class CriticalCone:
         return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
     def _compute_largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
-        part = self.point.transcription.parts[s.leg.name]
+        part = self.point.transcription.parts[s.phase.name]
         change = direction * self.point.scaling.variables
-        breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
+        breaks = np.interp(part.collocation.mesh.breaks, s.phase.mesh.breaks, s.phase.breaks)
         dx = s.sample_signal(_interpolate_state_variations(breaks, part.collocation, change))
         rules = part.collocation.collocation_rules
         du = s.sample_signal(interpolate_point_values(breaks, rules, change[part.collocation.point_controls]))
@@ -195,8 +197,8 @@ class CriticalCone:
         paths = s.functions.path_constraints(s.times, s.x, s.u)
         worst = []
         for values, changes, box, scale in (
-            (s.x, dx, s.leg.state_bounds, s.state_scale),
-            (paths, dc, s.leg.path_bounds, s.path_scale),
+            (s.x, dx, s.phase.state_bounds, s.state_scale),
+            (paths, dc, s.phase.path_bounds, s.path_scale),
         ):
             at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
             free = ~box.is_fixed[:, None]

@@ -80,7 +80,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
-    phase, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_at_even_times(SCANNED)
+    phase, ellipsoid, scan = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
     held = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
@@ -131,7 +131,7 @@ def check_trajectory_limits(
         worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
             _find_state_violation(s, scales)
         )
-        if s.leg.path_labels:
+        if s.phase.path_labels:
             for at in (s, s.resample_at_even_times(SCANNED_PATHS)):
                 worst = worst.select_larger(_find_path_violation(s, at, scales))
             worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
@@ -146,7 +146,7 @@ def check_trajectory_limits(
 
 def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
-    phase = s.leg
+    phase = s.phase
     u = np.hstack(phase.u.values)
     scale = np.fmax(
         sample_control_deviations(s, scales, phase.point_times),
@@ -158,21 +158,21 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
+    found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.phase.state_bounds))
     if not found.times.size:
         return NOTHING
-    radius = _cap_scale_by_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
+    radius = _cap_scale_by_interval_width(scales.phases[s.phase.name].along.radius, s.phase.state_bounds)
     shares = found.excess / radius[found.limits.rows]
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
-    unit = s.leg.states.units[row]
-    what = f"{s.leg.states.labels[row]} = {found.describe_violation(i)}{f' {unit}' if unit else ''}"
+    unit = s.phase.states.units[row]
+    what = f"{s.phase.states.labels[row]} = {found.describe_violation(i)}{f' {unit}' if unit else ''}"
     return Worst(float(shares[i]), s.describe_time(found.times[i], what))
 
 
 def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
-    limits = Limits.from_interval(s.functions.path_constraints, s.leg.path_bounds)
+    limits = Limits.from_interval(s.functions.path_constraints, s.phase.path_bounds)
     found = find_limit_violations(at, limits)
     if not found.times.size:
         return NOTHING
@@ -183,7 +183,7 @@ def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> W
     here = at.times[k], at.x[:, k], at.u[:, k]
     beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
     most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
-    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
+    what = f"{s.phase.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 
 
@@ -193,7 +193,7 @@ def _compute_limit_distances(
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = compute_path_value_changes(s, scales, *at, SMALL)[rows, np.arange(rows.size)]
-    reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
+    reach = _cap_scale_by_interval_width(reach, s.phase.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
@@ -206,7 +206,7 @@ def compute_path_value_changes(
 
     Deviations of controls are at least the share ``least`` of the largest one along the phase.
     """
-    own = scales.phases[s.leg.name]
+    own = scales.phases[s.phase.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
     by_state = np.moveaxis(by_state, 1, 0)
@@ -214,17 +214,17 @@ def compute_path_value_changes(
     moved = np.where(moved > 0, moved, own.along.support_function(by_state))
     most = np.max(own.deviation, axis=1)[:, None]
     deviation = np.maximum(sample_control_deviations(s, scales, times), least * most)
-    for vector in s.leg.vector_controls:  # directions always have length 1
-        deviation[s.leg.controls.slice(vector.direction)] = most[s.leg.controls.slice(vector.direction)]
+    for vector in s.phase.vector_controls:  # directions always have length 1
+        deviation[s.phase.controls.slice(vector.direction)] = most[s.phase.controls.slice(vector.direction)]
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
 
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    values, box = s.functions.path_constraints(s.times, s.x, s.u), s.leg.path_bounds
+    values, box = s.functions.path_constraints(s.times, s.x, s.u), s.phase.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
-    places = [f"phase {s.leg.name}, {label}, effect on the cost" for label in s.leg.path_labels]
+    places = [f"phase {s.phase.name}, {label}, effect on the cost" for label in s.phase.path_labels]
     return Worst.find_largest_value(price, places.__getitem__)
 
 
@@ -250,7 +250,7 @@ def check_boundary_conditions(
     """Return the condition that initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
-        phase, lasts = s.leg, np.full(5, s.span if s.has_duration else 1.0)
+        phase, lasts = s.phase, np.full(5, s.span if s.has_duration else 1.0)
         times = np.array([phase.initial_time, phase.final_time])
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * np.max(np.abs(times))
@@ -287,7 +287,7 @@ def _list_boundary_values(
     values, multipliers = [ends.constraints], [solution.constraint_multipliers]
     boxes = [solution.need_problem("verify").get_boundary_constraint_bounds()]
     for s in samples:
-        phase, name = s.leg, s.leg.name
+        phase, name = s.phase, s.phase.name
         values += [phase.x(phase.breaks[0]), phase.x(phase.breaks[-1], "left")]
         gaps = s.lam[:, 0] + ends.initial_state[name], s.lam[:, -1] - ends.final_state[name]
         multipliers += [s.has_duration * gap for gap in gaps]
@@ -334,7 +334,7 @@ def check_reported_cost(
     place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in checked:
-        phase, kept = s.leg, stored.phases[s.leg.name]
+        phase, kept = s.phase, stored.phases[s.phase.name]
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
         narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED))
         if max_norm(phase.integral_weights * (narrow - phase.integrals)) > tolerance * yardstick:

@@ -82,7 +82,7 @@ def mask_singular_samples(s: PhaseSamples) -> Mask:
 def mask_singular_segments(s: PhaseSamples) -> Mask:
     """Return the segments (n_controls, K) on which a control is singular."""
     singular, inside = mask_singular_samples(s), s.weights > 0
-    rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
+    rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.phase.mesh.segments)]
     return np.stack(rows, axis=1) & s.has_duration
 
 
@@ -109,7 +109,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     squares = compute_variation_norm_weights(cone.point.transcription)
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
-        part = cone.point.transcription.parts[s.leg.name]
+        part = cone.point.transcription.parts[s.phase.name]
         singular = _find_undetermined_singular_segments(cone, s)
         strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
@@ -128,17 +128,17 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
 
 def _find_undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Return the segments of the cone's mesh (n_controls, K) on which a control is singular and undetermined."""
-    part = cone.point.transcription.parts[s.leg.name]
+    part = cone.point.transcription.parts[s.phase.name]
     singular = mask_singular_segments(s)
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
-    segments = _map_refined_to_coarse_segments(s.leg.mesh, part.collocation.mesh)
+    segments = _map_refined_to_coarse_segments(s.phase.mesh, part.collocation.mesh)
     return singular[:, segments] & _mask_segments_without_active_limits(cone, part)
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Return the segments (n_controls, K) on which the second variation has curvature in the controls themselves."""
-    found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
+    found = np.zeros((s.phase.controls.size, s.phase.mesh.segments), dtype=bool)
     for arc in analyse_singular_arcs(problem, s, *mask_undetermined_controls(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
         if arc.order == 0 and arc.why and not unknown:
@@ -164,12 +164,12 @@ def _mask_segments_without_active_limits(cone: CriticalCone, part: PhaseIndices)
 
 def _list_junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
     """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
-    movable, switches = s.leg.mesh.movable, find_bound_to_bound_switches(s)[0]
+    movable, switches = s.phase.mesh.movable, find_bound_to_bound_switches(s)[0]
     beside = np.any(singular, axis=0)
     found = [
         part.times[k]
         for k, (boundary, own) in enumerate(zip(part.collocation.mesh.movable, movable, strict=True), 1)
-        if (beside[boundary - 1] or beside[boundary]) and s.leg.breaks[own] not in switches
+        if (beside[boundary - 1] or beside[boundary]) and s.phase.breaks[own] not in switches
     ]
     return np.array(found, dtype=int)
 
@@ -185,7 +185,7 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
-    last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
+    last = point.transcription.parts[s.phase.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
     slopes = _build_hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
@@ -205,9 +205,9 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     if least > AT_LIMIT * magnitude:
         return "", np.inf
     how = "negative" if least < -AT_LIMIT * magnitude else "zero"
-    label = s.leg.controls.labels[channels[0]]
+    label = s.phase.controls.labels[channels[0]]
     return (
-        f"phase {s.leg.name}, {label}: the curvature of the cost along a final impulse of the control is {how}",
+        f"phase {s.phase.name}, {label}: the curvature of the cost along a final impulse of the control is {how}",
         least / max(magnitude, s.cost_magnitude),
     )
 
@@ -215,12 +215,12 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
 def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
     moved = np.concatenate([_find_states_driven_by_controls(s, i) for i in map(int, channels)])
-    ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
+    ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.phase.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
     slopes = _build_hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
-    limited = np.logical_or(*s.leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
+    limited = np.logical_or(*s.phase.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 
@@ -233,7 +233,7 @@ def _build_hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> A
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.memoize(("mixed derivatives", s.leg.name), build_mixed_derivative_function)
+    return problem.memoize(("mixed derivatives", s.phase.name), build_mixed_derivative_function)
 
 
 def _find_states_driven_by_controls(s: PhaseSamples, control: int) -> Indices:

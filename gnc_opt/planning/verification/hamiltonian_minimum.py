@@ -53,7 +53,7 @@ class HamiltonianGain:
 
 def get_control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
-    bounds, half = s.leg.control_bounds, 0.5 * s.angular_control_periods
+    bounds, half = s.phase.control_bounds, 0.5 * s.angular_control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
     least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
     most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
@@ -135,7 +135,7 @@ class _MinimumSearch:
     @cached_property
     def _path_constraint_limits(self) -> Array:
         """Limits of the path constraints, or the applied value if it exceeds them (n_paths, n) each."""
-        s, bounds = self.s, self.s.leg.path_bounds
+        s, bounds = self.s, self.s.phase.path_bounds
         values = s.functions.path_constraints(s.times, s.x, s.u)[:, self.chosen]
         slack = EQUAL * (s.path_scale[:, None] + np.abs(values))
         return np.stack(
@@ -196,7 +196,7 @@ class _MinimumSearch:
         s, group, (times, x, u) = self.s, self.group, self._substitute_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_search_ranges[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
-        mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
+        mu = np.zeros((len(s.phase.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
         return set_nonfinite_to_zero(gradient), set_nonfinite_to_zero(bends)
@@ -222,7 +222,7 @@ class _MinimumSearch:
 
     def minimise_over_vector_control(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
-        s, layout = self.s, self.s.leg.controls
+        s, layout = self.s, self.s.phase.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
         times, x, u = self._substitute_controls(self._normalised_controls, np.arange(self.chosen.size))
         applied = u[direction].copy()

@@ -47,7 +47,7 @@ def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Arra
     """Return the scales of decreases of H by each single control (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
-    own = np.maximum(scales.phases[s.leg.name].control_cost, least)
+    own = np.maximum(scales.phases[s.phase.name].control_cost, least)
     return np.asarray(np.minimum(own, scales.cost) / s.span)
 
 
@@ -59,7 +59,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     """
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
+        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.phase.name].deviation)
         miss = _compute_control_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
         clear = np.isfinite(miss) & (miss > NOTABLE) & mask_controls_with_cost_curvature(s)[:, None]
@@ -80,7 +80,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
 
 def _compute_control_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
     """Return the distance of each control to the minimum of H, in deviations; infinite for negative curvature."""
-    deviation = scales.phases[s.leg.name].deviation
+    deviation = scales.phases[s.phase.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
     slope = np.abs(s.control_gradient)
     missed = np.full_like(slope, np.inf)
@@ -91,7 +91,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     """Return the first-order decrease of H if controls at a bound move into the interior."""
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
+        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.phase.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
         worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, gain, "switching function of "))
     return worst
@@ -104,7 +104,7 @@ def _estimate_hamiltonian_decreases(
 
     The decrease is in cost per second. ``size`` (m,) is the reference of the distance to a bound.
     """
-    bounds, gradient = s.leg.control_bounds, s.control_gradient
+    bounds, gradient = s.phase.control_bounds, s.control_gradient
     size = np.max(scale, axis=1) if size is None else size
     at_lower, at_upper = bounds.is_near_limits(s.u, AT_LIMIT * size)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale))
@@ -114,7 +114,9 @@ def _estimate_hamiltonian_decreases(
 
 
 def _locate_largest_hamiltonian_decrease(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    return Worst.find_largest_value(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
+    return Worst.find_largest_value(
+        loss, lambda i, j: s.describe_sample(j, what + s.phase.controls.labels[i])
+    )
 
 
 def check_minimum_principle(
@@ -127,7 +129,7 @@ def check_minimum_principle(
     )
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
-        if s.leg.controls.size:
+        if s.phase.controls.size:
             gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
             worst, searched, loss = worst.select_larger(gain), searched or here, loss + lost
     if searched:
@@ -143,7 +145,7 @@ def _find_largest_hamiltonian_decrease(
     s: PhaseSamples, scales: Scales, tolerance: float
 ) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
-    deviation = np.max(scales.phases[s.leg.name].deviation, axis=1)
+    deviation = np.max(scales.phases[s.phase.name].deviation, axis=1)
     gain, own, searched = _search_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
     lasts = average_violation_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
@@ -169,7 +171,7 @@ def _search_hamiltonian_decreases(
 
 def integrate_hamiltonian_excess(solution: Solution) -> float:
     """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
-    samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
+    samples = [s for s in solution.samples().values() if s.has_duration and s.phase.controls.size]
     return float(
         sum(
             s.weights @ _search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0]
@@ -252,7 +254,9 @@ def check_singular_arcs(
             i = int(np.argmax(lengths))
             total = float(lengths[i])
             j = int(np.flatnonzero(beyond[i])[0])
-            place = f"from {s.describe_sample(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
+            place = (
+                f"from {s.describe_sample(j, s.phase.controls.labels[i])}, {100 * total:.1f} % of the phase"
+            )
     result = ConditionResult.PASS if total <= tolerance else ConditionResult.INCONCLUSIVE
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
@@ -278,5 +282,5 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
-    at_lower, at_upper = s.leg.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
+    at_lower, at_upper = s.phase.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
     return remove_short_intervals_from_mask(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

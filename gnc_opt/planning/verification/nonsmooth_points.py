@@ -60,7 +60,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
     """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
     rests = []
     for s in samples:
-        kinks = find_nonsmooth_operations(problem, problem.phases[s.leg.name])
+        kinks = find_nonsmooth_operations(problem, problem.phases[s.phase.name])
         if kinks is None:
             continue
         values = _evaluate_kink_arguments(s, kinks, s.times_inside_segments, s.x, s.u)
@@ -119,14 +119,14 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     ]
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
-        axes = moves = scales.phases[s.leg.name].along.nonzero_semi_axes
-        if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
+        axes = moves = scales.phases[s.phase.name].along.nonzero_semi_axes
+        if find_nonsmooth_operations(problem, problem.phases[s.phase.name]) is not None:
             moves = axes @ _build_unit_directions(axes.shape[1])[0]
         along = _compute_hamiltonian_differences_by_step(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
         # A kink that sums and differences of axes and fixed directions meet is met by some of these, too.
         if np.any(_mask_kinks(along[0], along[1], scales.cost)):
             along = _compute_hamiltonian_differences_by_step(s, moves)
-        found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
+        found.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", along))
     for where, (coarse, fine) in found:
         share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
         if share > 0:
@@ -195,12 +195,12 @@ def _find_jump_of_state_rates(
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
     def evaluate_arguments(times: Array) -> Array:
-        return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
+        return _evaluate_kink_arguments(s, kinks, times, s.phase.x(times), s.phase.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
     at = find_zero_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
-    sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
-    x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
+    sides = np.clip(np.append(at - aside, at + aside), *s.phase.breaks[[0, -1]])
+    x, u = s.phase.x(sides), np.repeat(s.phase.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
     size = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))

@@ -169,7 +169,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
     if len(lasting) < len(samples):
-        vanished = next(s.leg.name for s in samples if not s.has_duration)
+        vanished = next(s.phase.name for s in samples if not s.has_duration)
         checked = [_mark_condition_of_zero_duration_phase(c, vanished) for c in checked]
     if least:
         checked = [_pass_condition_by_lower_bound(c) for c in checked]
@@ -280,8 +280,8 @@ def _check_second_variation(
     if not second_order.explain_why_not_bang_bang(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
     solution = free_touch_point_times(solution)
-    changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
-    samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
+    changed = [s for s in samples if solution.phases[s.phase.name] is not s.phase]
+    samples = [replace(s, phase=solution.phases[s.phase.name]) if s in changed else s for s in samples]
     rounding = estimate_cost_rounding_error(samples)
     cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
@@ -315,7 +315,7 @@ def _pass_condition_by_lower_bound(condition: Condition) -> Condition:
 
 
 def _is_solution_unique(problem: Problem, samples: list[PhaseSamples]) -> bool:
-    known = {s.leg.name: mask_bang_bang_controls(s) for s in samples}
+    known = {s.phase.name: mask_bang_bang_controls(s) for s in samples}
     return len(known) == len(problem.phases) and has_unique_solution(problem, known)
 
 

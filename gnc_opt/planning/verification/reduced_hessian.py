@@ -107,12 +107,14 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
     meshes = {
         name: _increase_mesh_degrees_for_variations(phase.mesh) for name, phase in solution.phases.items()
     }
-    meshes |= {s.leg.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
+    meshes |= {
+        s.phase.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.phase.name]) for s in samples
+    }
 
     def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = choose_variable_scales(transcription, problem, x)
         for s in samples:
-            part = transcription.parts[s.leg.name]
+            part = transcription.parts[s.phase.name]
             for places in (part.collocation.boundary_states, part.collocation.point_states):
                 found[places] = compute_state_ranges(s)[:, None]
             found[part.collocation.point_controls] = s.control_span[:, None]
@@ -210,13 +212,13 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
     limited = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
     near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
-    edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
-    fixed = impose_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
+    edges = edges[~near[np.searchsorted(s.phase.breaks, edges, "right") - 1]]
+    fixed = impose_touch_points(solution).phases[s.phase.name].numbers.arcs is not None
     if fixed or not (np.any(singular) or edges.size):
         return mesh
     if np.any(singular):
         return refine_mesh_at_singular_arc_ends(mesh, singular)
-    breaks = np.union1d(mesh.breaks, np.interp(edges, s.leg.breaks, mesh.breaks))
+    breaks = np.union1d(mesh.breaks, np.interp(edges, s.phase.breaks, mesh.breaks))
     degrees = np.take(mesh.degrees, np.searchsorted(mesh.breaks, breaks[:-1], "right") - 1)
     movable = np.searchsorted(breaks, np.take(mesh.breaks, mesh.movable))
     return Mesh(tuple(breaks.tolist()), tuple(degrees.tolist()), tuple(movable.tolist()))
@@ -228,13 +230,13 @@ def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
         lower, upper = s.is_at_control_bounds
         open_to_both = mask_zero_hamiltonian_curvature(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
-            s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]
+            s.times[1:], s.phase.breaks[list(s.phase.mesh.movable)]
         )
         at_both = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
         jumps = at_both & np.any(changes, axis=1)
         if np.any(jumps):
-            label = s.leg.controls.labels[int(np.argmax(jumps))]
-            return f"phase {s.leg.name}, {label}: switching times are not variables of the mesh"
+            label = s.phase.controls.labels[int(np.argmax(jumps))]
+            return f"phase {s.phase.name}, {label}: switching times are not variables of the mesh"
     return ""
 
 

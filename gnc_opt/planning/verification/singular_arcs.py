@@ -81,7 +81,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
 
 def mask_first_order_singular_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
     """Return where second derivatives of switching functions determine controls (m, n_samples), on arcs of a phase."""
-    found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
+    found = np.zeros((s.phase.controls.size, s.times.size), dtype=bool)
     for arc in arcs:
         determined = arc.order == 1 and not arc.why and arc.least > tolerance
         found[list(arc.channels), slice(*arc.samples)] = determined
@@ -106,11 +106,11 @@ def analyse_singular_arcs(
 def _analyse_singular_arc(
     problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
 ) -> SingularArc:
-    labels = ", ".join(s.leg.controls.labels[i] for i in channels)
-    place = f"phase {s.leg.name}, {labels} from {s.describe_times(*s.times[here[[0, -1]]])}"
+    labels = ", ".join(s.phase.controls.labels[i] for i in channels)
+    place = f"phase {s.phase.name}, {labels} from {s.describe_times(*s.times[here[[0, -1]]])}"
     own, others = tuple(channels.tolist()), tuple(regular.tolist())
     arc = partial(SingularArc, place, channels=own, samples=(int(here[0]), int(here[-1]) + 1))
-    key = "derivatives of switching functions", s.leg.name, own, others
+    key = "derivatives of switching functions", s.phase.name, own, others
     derivatives = problem.memoize(key, lambda: SwitchingFunctionDerivatives(s, channels, regular))
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)

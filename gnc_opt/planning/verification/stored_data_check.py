@@ -121,7 +121,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
     """
     worst = NOTHING
     for s in samples:
-        phase, share = s.leg, s.state_scale / s.cost_scale
+        phase, share = s.phase, s.state_scale / s.cost_scale
         kept = [
             ("the start of segment", phase.lam_start, phase.lam(phase.breaks[:-1], "right")),
             ("the end of segment", phase.lam_end, phase.lam(phase.breaks[1:], "left")),
@@ -141,19 +141,19 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
 
     These are an integral with a weight, or a cost of magnitude ``amount`` that is nearly independent of the end points.
     """
-    values = [v for s in samples for v in s.leg.lam.values]
+    values = [v for s in samples for v in s.phase.lam.values]
     if any(np.any(np.isfinite(v) & (v != 0)) for v in values):
         return True
     if not all(np.all(np.isfinite(v)) for v in values):
         return False
-    weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
+    weighed = any(np.any(s.phase.integral_weights != 0) for s in samples)
     return weighed or all(
         _find_largest_endpoint_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
     )
 
 
 def _find_largest_endpoint_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
-    name = s.leg.name
+    name = s.phase.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
     times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))
     return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))

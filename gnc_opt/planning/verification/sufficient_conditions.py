@@ -56,22 +56,22 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     """Return whether a problem is convex with one solution; ``determined`` (m,): controls common to all solutions."""
     if not is_convex(problem) or problem.parameters.size:
         return False
-    legs = list(problem.phases.values())
-    points = [phase.end_states(end) for phase in legs for end in ("initial", "final")]
+    phases = list(problem.phases.values())
+    points = [phase.end_states(end) for phase in phases for end in ("initial", "final")]
     conditions = problem.constraint_expression()
     rows = _read_constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
     if rows is None:
         return False
-    integrals = ca.vertcat(*(phase.integral_symbols() for phase in legs))
+    integrals = ca.vertcat(*(phase.integral_symbols() for phase in phases))
     of_ends = np.ones(
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.get_boundary_constraint_bounds().is_fixed & of_ends]
     same = np.concatenate(
-        [np.append(phase.numbers.initial.is_fixed, phase.numbers.final.is_fixed) for phase in legs]
+        [np.append(phase.numbers.initial.is_fixed, phase.numbers.final.is_fixed) for phase in phases]
     )
-    waiting, places = legs, _index_boundary_states(legs)
+    waiting, places = phases, _index_boundary_states(phases)
     while waiting:
         settled = [phase for phase in waiting if _is_initial_state_unique(equal, same, places[phase.name][0])]
         if not settled or not all(
@@ -84,9 +84,9 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     return True
 
 
-def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _index_boundary_states(phases: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     found, at = {}, 0
-    for phase in legs:
+    for phase in phases:
         n = phase.model.states.size
         found[phase.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
         at += 2 * n
@@ -168,15 +168,15 @@ def _are_dynamics_affine(problem: Problem) -> bool:
 
 def _is_endpoint_problem_convex(problem: Problem) -> bool:
     """Return whether end conditions are affine, and the cost convex, in end points, parameters and integrals."""
-    legs = problem.phases.values()
-    integrals = ca.vertcat(*(phase.integral_symbols() for phase in legs))
-    points = [value for phase in legs for value in (phase.end_states("initial"), phase.end_states("final"))]
+    phases = problem.phases.values()
+    integrals = ca.vertcat(*(phase.integral_symbols() for phase in phases))
+    points = [value for phase in phases for value in (phase.end_states("initial"), phase.end_states("final"))]
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions = substitute_parameters(problem, problem.constraint_expression())
     cost = substitute_parameters(problem, problem.sense * problem.cost)
     if not is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
-    for phase in legs:
+    for phase in phases:
         _, x, u, _ = phase.model.symbolic_arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in phase.integrands.values():

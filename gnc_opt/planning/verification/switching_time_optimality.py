@@ -50,7 +50,7 @@ def check_switching_times(
         jumps, place = [], f"{place}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
-    order = sorted(samples, key=lambda s: s.leg.initial_time)
+    order = sorted(samples, key=lambda s: s.phase.initial_time)
     shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
     falls = list(filter(None, (group.find_second_order_cost_decrease() for group in shifted)))
     place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
@@ -68,23 +68,23 @@ def _are_control_jump_times_variables(jumps: list[Jump], samples: list[PhaseSamp
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
     limited = any(np.any(mask_limits_with_multipliers(s, s.times)) or find_costate_jumps(s) for s in samples)
-    movable = all(s.leg.mesh.movable for s in samples)
+    movable = all(s.phase.mesh.movable for s in samples)
     return movable and not limited and len(set(times)) == len(times)
 
 
 def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
     """Return the jumps of the applied controls inside phases and between consecutive phases."""
     jumps = []
-    order = sorted(samples, key=lambda s: s.leg.initial_time)
+    order = sorted(samples, key=lambda s: s.phase.initial_time)
     for s in order:
-        phase, change = s.leg, np.maximum(np.ptp(s.u, axis=1), s.control_span)
+        phase, change = s.phase, np.maximum(np.ptp(s.u, axis=1), s.control_span)
         inner = phase.breaks[1:-1]
         before, after = phase.applied(inner, "left"), phase.applied(inner)
         large = np.abs(after - before) > SMALL * change[:, None]
         for i, k in np.argwhere(large & ~_mask_constrained_controls(problem, s, inner)):
             jumps.append(Jump(phase.name, float(inner[k]), int(i), before[i, k], after[i, k]))
     for s, following in itertools.pairwise(order):
-        a, b = s.leg, following.leg
+        a, b = s.phase, following.phase
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:
             continue
         before, after = a.applied(a.breaks[-1], "left"), b.applied(b.breaks[0])
@@ -95,7 +95,7 @@ def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Ju
         for i in np.flatnonzero(large & ~held[:, 0]):
             if all(_is_control_at_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
-    ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
+    ends = {s.phase.name: (s.phase.initial_time, s.phase.final_time) for s in samples}
     return [replace(jump, shorter_arc=_compute_adjacent_arc_duration(jump, jumps, ends)) for jump in jumps]
 
 
@@ -109,7 +109,7 @@ def _compute_adjacent_arc_duration(
 
 def _is_control_at_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     scale = max(float(np.ptp(s.u[i])), abs(float(u[i])))
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
 
 
@@ -117,7 +117,7 @@ def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) 
     """Return whether an active path constraint or state limit determines each control near times, (m, n_times)."""
     near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
     sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
-    lower, upper = s.leg.control_bounds.is_near_limits(s.u, AT_LIMIT * np.max(np.abs(s.u), axis=1))
+    lower, upper = s.phase.control_bounds.is_near_limits(s.u, AT_LIMIT * np.max(np.abs(s.u), axis=1))
     # Beside the end of an arc at a limit its multiplier may be next to nothing.
     pushed = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
     between = ~(lower | upper) & pushed

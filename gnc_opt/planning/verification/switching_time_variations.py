@@ -172,7 +172,7 @@ class ShiftedTrajectory:
         q = self.solution.parameter_values
         q = q[:, None] + self._sum_variations_of_quantity("parameters", "", amounts, q.size)
         for s in self.samples:
-            phase, name = s.leg, s.leg.name
+            phase, name = s.phase, s.phase.name
             begin = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_quantity(
                 "start", name, amounts, phase.states.size
             )
@@ -210,7 +210,7 @@ class ShiftedTrajectory:
 
     def _shift_switching_times_of_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
         """Return a phase for amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
-        name, problem = s.leg.name, self.solution.need_problem("verify")
+        name, problem = s.phase.name, self.solution.need_problem("verify")
         jumps = [
             (jump, jump.time + SHIFT_STEP_SHARE * jump.shorter_arc * shifts)
             for jump, shifts in zip(self.jumps, amounts, strict=False)
@@ -219,7 +219,7 @@ class ShiftedTrajectory:
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
         functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
-        times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
+        times = s.phase.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
 
@@ -241,7 +241,7 @@ class _ShiftedPhase:
     @cached_property
     def mesh_cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
-        cells = subdivide_mesh_segments(self.samples.leg.breaks)
+        cells = subdivide_mesh_segments(self.samples.phase.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
         for jump, _ in self.jumps:
             step = SHIFT_STEP_SHARE * jump.shorter_arc
@@ -274,7 +274,7 @@ class _ShiftedPhase:
             for times in (self.step_times[:-1, 0], self.step_times[1:, 0])
         )
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
-        values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
+        values = _evaluate_applied_controls(self.samples.phase, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def evaluate_shifted_controls(self, step: int) -> list[Array]:
@@ -287,7 +287,7 @@ class _ShiftedPhase:
             if self.steps_equal_in_all_columns[step]:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
-                u = _evaluate_applied_controls(self.samples.leg, t, middle)
+                u = _evaluate_applied_controls(self.samples.phase, t, middle)
             for jump, shifted in self.jumps:
                 u[jump.channel, (middle > jump.time) & (middle < shifted)] = jump.before
                 u[jump.channel, (middle < jump.time) & (middle > shifted)] = jump.after
@@ -302,7 +302,7 @@ class _ShiftedPhase:
 
     def evaluate_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
-        phase = self.samples.leg
+        phase = self.samples.phase
         n, n_paths = phase.states.size, len(phase.path_labels)
         states = y[:n]
         found = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
@@ -318,7 +318,7 @@ class _ShiftedPhase:
         Final states (n, n_columns), integrals (n_integrals, n_columns), contributions of active limits and costate
         jumps to the Lagrangian (n_columns,), and violations of active limits relative to the cost scale ``cost``.
         """
-        phase, n = self.samples.leg, x.shape[0]
+        phase, n = self.samples.phase, x.shape[0]
         y = np.concatenate([x, np.zeros((phase.integrals.size + 1, x.shape[1]))])
         limits = evaluate_active_limit_gradients(self.samples, self.mesh_cell_edges)
         jumps = find_costate_jumps(self.samples)
@@ -349,7 +349,7 @@ def _list_control_variations(
     problem: Problem, s: PhaseSamples, scales: Scales
 ) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
-    phase, own = s.leg, scales.phases[s.leg.name]
+    phase, own = s.phase, scales.phases[s.phase.name]
     times, response = differentiate_final_state_by_controls(s)
     u = phase.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
@@ -368,7 +368,7 @@ def _list_control_variations(
 
 def _has_active_limits(s: PhaseSamples) -> bool:
     paths = s.functions.path_constraints(s.times, s.x, s.u)[:, [0, -1]]
-    at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
+    at_ends = np.logical_or(*s.phase.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
     return bool(np.any(mask_limits_with_multipliers(s, s.times)) or np.any(at_ends[s.pure_state_constraints]))
 
 
@@ -379,7 +379,7 @@ def _build_end_and_parameter_variations(
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
     found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
-        phase, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
+        phase, name, lasts = s.phase, s.phase.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius

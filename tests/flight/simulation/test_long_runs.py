@@ -36,9 +36,9 @@ def whole():
     return fly()
 
 
-@pytest.mark.parametrize("leg", [1, 236, 237])
-def test_legs_change_no_bit(monkeypatch, whole, leg):
-    monkeypatch.setattr(flight_module, "LEG", leg)
+@pytest.mark.parametrize("n_steps", [1, 236, 237])
+def test_the_number_of_steps_per_call_changes_no_bit(monkeypatch, whole, n_steps):
+    monkeypatch.setattr(flight_module, "MAX_STEPS_PER_CALL", n_steps)
     run = fly()
     assert all(np.array_equal(getattr(run, name), getattr(whole, name)) for name in ARRAYS)
     assert np.array_equal(run.effort, whole.effort) and run.integration_error == whole.integration_error

@@ -273,7 +273,7 @@ def test_balances_hold_behind_all_actuators_and_through_events(actuators, parts,
 @pytest.mark.parametrize("leg", [1000, 4])
 def test_one_that_is_not_a_number_is_reported(leg, monkeypatch):
     """sqrt(q) of what falls from 1 to -1 at 1 unit/s is none from 1.1 s on; runs that end before are ok."""
-    monkeypatch.setattr("gnc_opt.simulation.compiled_closed_loop.LEG", leg)
+    monkeypatch.setattr("gnc_opt.simulation.compiled_closed_loop.MAX_STEPS_PER_CALL", leg)
     plant, q, _u = dynamics("even motion", "q", "u", lambda q, u: {q: u})
     law = go.feedforward(go.Reference.constant(plant, [0.0], [-1.0]))
     known, root = Quantity("known", q**2), Quantity("root", ca.sqrt(q + 1e-6))

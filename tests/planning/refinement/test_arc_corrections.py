@@ -117,7 +117,7 @@ def flight(bounds: Any = ((-1.0, -1.0), (1.5, 1.5)), values: Any = 0.25) -> Any:
         controls=SimpleNamespace(size=2),
     )
     return SimpleNamespace(
-        leg=leg,
+        phase=leg,
         times=np.arange(5.0),
         x=X[None, :],
         u=np.full((2, 5), values),

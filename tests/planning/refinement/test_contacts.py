@@ -338,7 +338,7 @@ def test_an_arc_from_a_free_start(price: float) -> None:
 # Contacts with state constraints, part by part: runs of pushes, junctions, touches that pull, excesses.
 
 
-MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))
+MESH = SimpleNamespace(phase=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))
 
 
 def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:

@@ -396,7 +396,7 @@ def test_boundaries_enclose_kinks(kinks: Any, expected: list[float], monkeypatch
         "_locate_largest_violation",
         lambda error, k: [2.5],
     )
-    error: Any = fake(samples=fake(leg=leg))
+    error: Any = fake(samples=fake(phase=leg))
     found = choose_mesh_breaks_around_kinks(error, 1, [Kink(*kink) for kink in kinks])
     assert found == pytest.approx([2.0, *expected, 3.0], rel=1e-12)
 

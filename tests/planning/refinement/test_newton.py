@@ -310,7 +310,7 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     solution = go.solve(known, mesh="8x3", tol=None)
     (s,) = solution.samples().values()
     at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
-    stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
+    stated = replace(s, phase=replace(s.phase, final_bounds=leg.numbers.final))
     own = compute_newton_step(problem, stated, at) or pytest.fail("no step")
     again = compute_simplified_newton_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
@@ -500,7 +500,7 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution() -> None:
     assert float(np.min(flight.states[1])) == pytest.approx(-4.04, abs=1e-3)
     for slowest, kept in ((-4.05, True), (-4.03, False)):
         box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
-        limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
+        limited = replace(flight, s=replace(s, phase=replace(s.phase, state_bounds=box)))
         found = collocated(solution, structure, limited)
         assert c.satisfies_inequality_limits(found, s.state_scale) is kept
 

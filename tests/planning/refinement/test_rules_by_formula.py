@@ -94,7 +94,7 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
             has_only_control_kinks=lambda k: k in kinks,
             find_changed_arcs=lambda k: [i for i in controls if kinds[k - 1][i] is not kinds[k][i]],
         )
-        samples: Any = fake(leg=fake(breaks=np.linspace(0.0, 3.0, 13)))
+        samples: Any = fake(phase=fake(breaks=np.linspace(0.0, 3.0, 13)))
         return ContactNodes._find_nearby_switch_time(fake(row=7), structure, time, samples, side)
 
     assert [find(t, 0) for t in (0.55, 1.45, 1.55, 2.1)] == [1.0, 1.0, 1.55, 2.1]

@@ -75,7 +75,7 @@ def singular(inside: list[float], gradient: list[float]) -> list[int]:
     """Segments by the share of their points at which the control is inside, and the largest switching function."""
     values = tuple(np.where(np.arange(10) < 10 * share, 0.0, 1.0)[None, :] for share in inside)
     there = sampled(len(inside))
-    there.leg.u = SimpleNamespace(values=values)
+    there.phase.u = SimpleNamespace(values=values)
     return d._find_singular_segments(
         there, 0, np.repeat(gradient, PER_SEGMENT) * np.tile([0.5, -1, 0.2, 0], len(inside))
     )
@@ -181,8 +181,8 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
     structure = detect_control_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
-    assert abs(samples.leg.costate("v")(structure.times[1])) < 1e-12  # dH/da
-    assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
+    assert abs(samples.phase.costate("v")(structure.times[1])) < 1e-12  # dH/da
+    assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.phase.final_time)
 
 
 def pursuit(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
@@ -279,7 +279,7 @@ def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> Non
     (samples,) = solution.samples().values()
     structure = detect_control_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
-    segment = 4.0 / samples.leg.mesh.segments
+    segment = 4.0 / samples.phase.mesh.segments
     assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment
 
 
@@ -328,7 +328,7 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     assert bang["arcs"].tolist() == [[LOW, UP]]
 
 
-LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
+LEG: Any = SimpleNamespace(phase=SimpleNamespace(name="leg"))
 
 
 def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:

@@ -275,7 +275,7 @@ def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) 
     """Stiff dynamics must not cost the limit once per segment."""
     solution = go.solve(fall(), mesh="10x3", tol=None)
     (samples,) = solution.samples().values()
-    leg, segments = samples.leg, np.arange(10)
+    leg, segments = samples.phase, np.arange(10)
     assert np.max(np.abs(compute_propagation_errors(leg, samples.functions, segments))) < 1e-8
     monkeypatch.setattr(ode_integration, "MOST_RATES", 200)
     errors = compute_propagation_errors(leg, samples.functions, segments)

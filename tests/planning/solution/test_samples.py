@@ -74,7 +74,7 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     rough = samples(problem, weights=(1.0,), breaks=(0.0, 0.25, 1.0))
     inside = np.diff(rough.times_inside_segments)
     assert np.all(inside > 0)
-    n = rough.leg.mesh.degrees[0] + SAMPLES_BEYOND_POINTS
+    n = rough.phase.mesh.degrees[0] + SAMPLES_BEYOND_POINTS
     ends = rough.times_inside_segments[[0, n + 1, n + 2, -1]]
     assert ends == pytest.approx(
         [GONE * 0.25, 0.25 - GONE * 0.25, 0.25 + GONE * 0.75, 1 - GONE * 0.75], abs=1e-12
@@ -113,7 +113,7 @@ def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
     """Cut off at 5 N, the push lacks 1/24 N s on either side: v ends where it should, q short of it."""
     cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
     found = compute_final_propagation_error(cut)
-    run = integrate_dynamics(cut.leg, cut.functions)
+    run = integrate_dynamics(cut.phase, cut.functions)
     assert run.states[:, -1] - [1.0, 0.0] == pytest.approx(run.error)
     assert found == pytest.approx(np.max(np.abs(run.error) / [1.0, 1.5]))
     assert compute_final_propagation_error(samples(CART)) < 1e-10

@@ -103,7 +103,9 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     leg = problem.get_phase()
     leg.time(origin, origin + 2.0)
     s = arc(problem, breaks=(origin, origin + 0.5, origin + 2.0))
-    legs = replace(s.leg, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf))
+    legs = replace(
+        s.phase, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf)
+    )
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.from_phase(legs, s.functions)]
     condition = feasibility.check_boundary_conditions(
@@ -203,7 +205,7 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = PureStateConstraints.from_states(s, times, s.leg.x(times), s.leg.applied(times))
+    found = PureStateConstraints.from_states(s, times, s.phase.x(times), s.phase.applied(times))
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )
@@ -507,7 +509,7 @@ def test_steps_of_free_parameters() -> None:
 
 def test_a_copy_of_a_solution_has_no_verdict() -> None:
     problem = plain(np.zeros((2, 2)))
-    solution = by_hand.solution(problem, arc(problem).leg)
+    solution = by_hand.solution(problem, arc(problem).phase)
     first = Verdict("first", ())
     assert solution.verdict is None
     with_one = solution.with_verdict(first)
@@ -537,7 +539,7 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
         lambda t, k: np.array([costates + 0 * t, 0 * t]),
         breaks=(0.0, 0.5, 2.0),
     )
-    ends = get_endpoint_gradients(by_hand.solution(problem, base.leg))
+    ends = get_endpoint_gradients(by_hand.solution(problem, base.phase))
     s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told
 
@@ -594,7 +596,7 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     leg.path("mixed", x[0] - 2 * u + leg.model.time - 1, lower=0.0, upper=9.0)
     s = arc(problem, state_bounds=by_hand.interval([-9.0, 1.0], [3.0, 9.0]), breaks=(0.0, 1.0, 2.0), degree=4)
     assert s.functions.path_constraints(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
-    transcription = transcribe_problem(problem, {"leg": s.leg.mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": s.phase.mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
     scales = 2.0 + np.arange(transcription.n_variables)
     direction = np.zeros(transcription.n_variables)

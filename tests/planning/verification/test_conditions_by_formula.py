@@ -72,7 +72,7 @@ def test_control_bounds_in_shares_of_deviation_or_of_the_magnitude() -> None:
         point_times=np.array([0.0, 1.0, 2.0]),
         controls=labels("a", "b", "c"),
     )
-    s = fake(leg=leg, times=leg.point_times, **described())
+    s = fake(phase=leg, times=leg.point_times, **described())
     deviation = np.array([[0.1, 0.2, 0.1], [4.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
     worst = feasibility._find_control_violation(s, scales(deviation=deviation))
     assert (worst.value, worst.where) == (pytest.approx(2.5), "t=1 a")  # 0.5 / 0.2
@@ -98,7 +98,9 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     bounds = interval([-np.inf, -np.inf], [1e12, 100.0])
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(
-        leg=fake(name="leg", path_bounds=bounds, vector_controls=()), functions=path_functions(None), times=t
+        phase=fake(name="leg", path_bounds=bounds, vector_controls=()),
+        functions=path_functions(None),
+        times=t,
     )
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     found = feasibility.compute_path_value_changes(s, own, t, x, u)
@@ -121,7 +123,7 @@ def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> No
         x=None,
         u=None,
         weights=np.array([1.0, 2.0, 1.0]),
-        leg=fake(
+        phase=fake(
             name="leg",
             path_bounds=interval([-np.inf, -1.0, 0.0], [1.0, 1.0, 9.0]),
             path_labels=("a", "b", "c"),
@@ -218,7 +220,7 @@ def time_transversality(**changes: Any) -> Worst:
     }
     pushes = changes.pop("pushes", np.zeros(2))
     leg = fake(name="leg", **(values | changes))
-    s = fake(leg=leg, span=4.0, hamiltonian=np.array([2.0, 9.0, 3.0]))
+    s = fake(phase=leg, span=4.0, hamiltonian=np.array([2.0, 9.0, 3.0]))
     ends = fake(initial_time={"leg": 1.5}, final_time={"leg": -2.5})
     return costates._check_time_transversality(s, ends, pushes, scales())
 
@@ -264,7 +266,7 @@ def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPat
         state_bounds=interval(0.0, 10.0),
         x=lambda t: np.array([[4.0, 4.0]]),
     )
-    s = fake(leg=leg, **described())
+    s = fake(phase=leg, **described())
     worst = costates._check_costate_jumps_at_state_bounds(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(2 * 5 / 5), "t=1 impulse on q")
     leg.x = lambda t: np.array([[10.0, 4.0]])
@@ -277,7 +279,7 @@ def test_residual_of_the_adjoint_equation() -> None:
     ones = np.ones((1, 4))
     weights = 0.5 * np.ones(4)
     s = fake(
-        leg=fake(name="leg"),
+        phase=fake(name="leg"),
         times=None,
         x=None,
         u=None,
@@ -300,7 +302,7 @@ def test_residual_of_the_adjoint_equation() -> None:
     share, total = costates._evaluate_costate_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
     name = costates._find_state_of_costliest_gradient(
-        fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
+        fake(phase=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
     )
     assert name == "q"
 
@@ -488,7 +490,7 @@ def test_stored_costates_must_be_those_of_their_polynomials() -> None:
             side
         ],
     )
-    s = fake(leg=leg, state_scale=np.array([0.5]), cost_scale=4.0)
+    s = fake(phase=leg, state_scale=np.array([0.5]), cost_scale=4.0)
     worst = stored.compare_costates([s])
     assert (worst.value, worst.where) == (3 / 8, "phase leg, q, costate at point 3")
     leg.scheme = "LGR"
@@ -505,7 +507,7 @@ def test_change_of_the_cost_with_the_end_points() -> None:
         initial_time={"leg": 0.0},
         final_time={"leg": 0.25},
     )
-    s = fake(leg=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
+    s = fake(phase=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
     assert stored._find_largest_endpoint_cost_change(s, ends) == 6.0
     ends.final_time["leg"] = -2.0
     assert stored._find_largest_endpoint_cost_change(s, ends) == 8.0
@@ -559,7 +561,7 @@ def reported_cost(objective: float, **own: Any) -> Worst:
         )
 
     s = fake(
-        leg=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
+        phase=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
     )
     s.resample_at_even_times = resample
     stored_solution = fake(objective=objective, phases={"leg": kept})
@@ -640,7 +642,7 @@ def worst_defect(
     def sampled(values: Any) -> Any:
         v = np.array([values], dtype=float)
         return fake(
-            leg=leg,
+            phase=leg,
             functions=fake(),
             has_duration=True,
             segments=np.array([0, 0, 1, 1]),
@@ -755,7 +757,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     effects: list[Any] = []
     own.estimate_control_change_by_costate_gap = lambda s, left: effects.append(left.tolist()) or 0.25
     s = fake(
-        leg=fake(name="leg", states=labels("q", "v")),
+        phase=fake(name="leg", states=labels("q", "v")),
         x=np.array([[5.0, 5.0], [0.0, 1.0]]),
         state_scale=np.ones(2),
     )
@@ -781,7 +783,11 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     )
     hessian = np.einsum("ij,k->ijk", np.diag([4.0, 4.0, 0.0]), np.ones(3))
     s = fake(
-        leg=fake(name="leg"), control_hessian=hessian, times=times, span=2.0, weights=np.array([1, 2, 1]) / 4
+        phase=fake(name="leg"),
+        control_hessian=hessian,
+        times=times,
+        span=2.0,
+        weights=np.array([1, 2, 1]) / 4,
     )
     own = fake(
         cost=10.0, phases={"leg": fake(control_cost=np.array([1e-5, 1.0, 1e-5]), deviation=0.1 * ones)}
@@ -837,7 +843,7 @@ def test_evidence_of_costates() -> None:
         )
         times = {"initial_time": {"leg": 0.0}, "final_time": {"leg": 0.0}}
         ends = fake(initial_state={"leg": np.array([slope])}, final_state={"leg": np.zeros(1)}, **times)
-        return stored.has_costates([fake(leg=leg, state_scale=np.ones(1), span=2.0)], ends, 5.0)
+        return stored.has_costates([fake(phase=leg, state_scale=np.ones(1), span=2.0)], ends, 5.0)
 
     assert exist(1e-9) and exist() and exist(weight=1.0, slope=9.0)
     assert not exist(slope=1.0) and not exist(np.nan) and not exist(np.inf, 1.0)

@@ -356,7 +356,7 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
 def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     box = by_hand.interval([1.0, 2.0], [1.0, 2.0])
     s = flown(u=(1.0, 1.0), control_bounds=by_hand.interval([-1.0, -9.0], [1.0, 9.0]))
-    s = PhaseSamples.from_phase(replace(s.leg, control_bounds=box), s.functions)
+    s = PhaseSamples.from_phase(replace(s.phase, control_bounds=box), s.functions)
     condition = controls.check_legendre_clebsch(
         [s], TOLERANCE, [controls.mask_undetermined_controls(s, TOLERANCE)[0]]
     )
@@ -687,7 +687,7 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     # Of H = lam_0 + lam_1 u the initial value is 3 + 0, which a lower limit of the initial time cannot explain.
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
-    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.phase))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
@@ -706,7 +706,7 @@ def test_a_multiplier_of_the_duration_needs_an_active_bound(
     """Of the 2 s, over a cost of 4; a positive one needs the upper bound."""
     bounds = by_hand.interval(-np.inf, most)
     s = drift(drifting(), duration_bounds=bounds, duration_multiplier=multiplier)
-    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.phase))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     assert found.value == pytest.approx(value)
 
@@ -740,7 +740,9 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = check_transversality([s], get_endpoint_gradients(by_hand.solution(drifting(), s.leg)), scales)
+    condition = check_transversality(
+        [s], get_endpoint_gradients(by_hand.solution(drifting(), s.phase)), scales
+    )
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
@@ -749,8 +751,8 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         along.lower[row], along.upper[row] = given[row] if gap < 0 else -99.0, given[row] if gap > 0 else 99.0
         if end == "initial":
             along.lower[row], along.upper[row] = given[row], 99.0
-        held = PhaseSamples.from_phase(replace(s.leg, state_bounds=along), s.functions)
-        ends = get_endpoint_gradients(by_hand.solution(drifting(), held.leg))
+        held = PhaseSamples.from_phase(replace(s.phase, state_bounds=along), s.functions)
+        ends = get_endpoint_gradients(by_hand.solution(drifting(), held.phase))
         assert check_transversality([held], ends, scales).value == 0.0
 
 
@@ -801,14 +803,14 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     problem = drifting(paths=True)
     base = drift(problem)
     j = 4
-    t = base.leg.point_times[j]
+    t = base.phase.point_times[j]
     value = {"mixed": 1 + t - 6 * t, "pure": 2 - t**2, "u": -2 * t, "x[0]": 1 + t}[name]
     row = {"mixed": 0, "pure": 1, "u": 0, "x[0]": 0}[name]
     kind, n = {"mixed": ("path", 2), "pure": ("path", 2), "u": ("control", 1), "x[0]": ("state", 2)}[name]
     lower, upper, multipliers = np.full(n, -99.0), np.full(n, 99.0), np.zeros((n, 8))
     lower[row], upper[row], multipliers[row, j] = value - 0.2, value + 0.1, sign * 5.0
     leg = replace(
-        base.leg, **{f"{kind}_bounds": by_hand.interval(lower, upper), f"{kind}_multipliers": multipliers}
+        base.phase, **{f"{kind}_bounds": by_hand.interval(lower, upper), f"{kind}_multipliers": multipliers}
     )
     s = PhaseSamples.from_phase(leg, base.functions)
     solution = by_hand.solution(problem, leg)
@@ -829,7 +831,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
     s = drift(problem)
     for nu, amount, expected in ((2.0, 9.0, 1.0), (-2.0, 9.0, 0.5), (2.0, 0.3, 0.6), (-2.0, 0.2, 0.4)):
         solution = by_hand.solution(
-            problem, s.leg, constraint_labels=("a", "b"), constraint_multipliers=np.array([nu, 7.0])
+            problem, s.phase, constraint_labels=("a", "b"), constraint_multipliers=np.array([nu, 7.0])
         )
         rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
         scales = given_scales([s], cost=4.0, constraints=rows)

@@ -92,7 +92,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
 
         monkeypatch.setattr(check, name, answer)
 
-    legs = [fake(leg=fake(name=f"leg {k}"), has_duration=on) for k, on in enumerate(state["lasting"])]
+    legs = [fake(phase=fake(name=f"leg {k}"), has_duration=on) for k, on in enumerate(state["lasting"])]
     for s in legs:
         s.with_cost_scale = lambda *_, s=s: s
     problem = fake(phases={})
@@ -348,7 +348,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     monkeypatch.setattr(limit_terms, "replace", lambda s, **_: s)
     s = fake(
         order=2,
-        leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
+        phase=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
         state_scale=np.ones(2),
         span=1.0,
     )

@@ -131,7 +131,7 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
             assert _find_switching_function_zeros(s, sample).tolist() == ([1] if vanishes else [])
     still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
     assert _find_switching_function_zeros(still, 0).tolist() == [2]
-    given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
+    given = replace(still.phase, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
     assert (
         _find_switching_function_zeros(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
     )  # it has no range
@@ -503,7 +503,7 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
     for off, told in ((3e-6, True), (5e-6, False)):
         s = bang(unit=unit)
         box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
-        s = PhaseSamples.from_phase(replace(s.leg, control_bounds=box), s.functions)
+        s = PhaseSamples.from_phase(replace(s.phase, control_bounds=box), s.functions)
         on_bound = np.any(s.is_at_control_bounds, axis=0)
         assert bool(np.all(on_bound[1])) is told and np.all(on_bound[[0, 2]])
 

@@ -48,7 +48,7 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
             assert explain_why_not_bang_bang([base, pushed]) == (
                 "phase leg: a path constraint is active" if told else ""
             )
-    span = 1e-4 * base.cost_scale / base.leg.duration
+    span = 1e-4 * base.cost_scale / base.phase.duration
     for factor, told in ((0.9, False), (1.1, True), (-0.9, False), (-1.1, True)):
         for i in (0, 1):
             rows = np.zeros((2, 1))
@@ -57,7 +57,7 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
             assert explain_why_not_bang_bang([pushed]) == (
                 "phase leg: a state bound is active" if told else ""
             )
-            rows *= base.leg.duration
+            rows *= base.phase.duration
             jumping = bang(lam=lambda t, k, m=rows: np.array([-1 + 0 * t, t - 1]) + k * m)
             assert bool(explain_why_not_bang_bang([jumping])) is told
 
@@ -67,7 +67,7 @@ def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> No
     assert explain_why_not_bang_bang([inside]) == "phase leg, t = 0 s, a: the control is between its limits"
     assert not second_order.is_bang_bang([bang(), inside]) and second_order.is_bang_bang([bang()])
     assert not second_order.is_bang_bang([])
-    vanished = replace(bang().leg, final_time=0.0, final_time_bounds=by_hand.interval(0.0, 0.0))
+    vanished = replace(bang().phase, final_time=0.0, final_time_bounds=by_hand.interval(0.0, 0.0))
     none = PhaseSamples.from_phase(vanished, bang().functions)
     assert explain_why_not_bang_bang([none]) == "phase leg has no length"
 

@@ -56,7 +56,7 @@ def test_gradients_and_sides_of_paths() -> None:
         path_bounds=by_hand.interval([-99.0, -2.0], [0.0, 9.0]),
     )
     times = np.array([0.0, 1.0])
-    x, u = s.leg.x(times), s.leg.applied(times)
+    x, u = s.phase.x(times), s.phase.applied(times)
     _, found, by_parameter = s.functions.path_gradients(times, x, u)
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])

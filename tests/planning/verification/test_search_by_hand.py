@@ -428,7 +428,7 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
 def test_controls_without_bounds_are_searched_beyond_their_values() -> None:
     """Within the bounds; half a turn of 360 to both sides; twice the largest value; twice the scale."""
     s: Any = SimpleNamespace(
-        leg=SimpleNamespace(control_bounds=by_hand.interval([-1.0, *[-np.inf] * 3], [2.0, *[np.inf] * 3])),
+        phase=SimpleNamespace(control_bounds=by_hand.interval([-1.0, *[-np.inf] * 3], [2.0, *[np.inf] * 3])),
         angular_control_periods=np.array([0.0, 360.0, 0.0, 0.0]),
         u=np.array([[0.5, 1.0], [10.0, 30.0], [-4.0, 3.0], [0.1, 0.2]]),
         control_scale=np.array([1.0, 1.0, 1.0, 7.0]),

@@ -65,7 +65,7 @@ def induced_problem(solution: go.Solution, refinement: int = 4) -> SwitchingTime
     """The induced problem of a solution with one phase and no simultaneous switches."""
     solution = recompute_stored_data(solution)
     samples = list(solution.samples().values())
-    name = samples[0].leg.name
+    name = samples[0].phase.name
     switches = {name: Switches.from_samples(samples[0])}
     pieces = {name: switches[name].build_piecewise_control(next(switches[name].list_switch_sequences()))}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)

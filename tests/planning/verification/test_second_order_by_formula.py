@@ -71,7 +71,7 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     shifts = np.array([0.95, 1.05, 1.0])
     times = np.array([[0.0, 0.0, 0.0], [2.0, 1.95, 2.0]])
     ramp = np.array([0.0, 2.0]), np.array([[0.0, 4.0]]), np.array([0.0, 1.0, 0.0])
-    phase = variations._ShiftedPhase(fake(), fake(leg=leg), fake(), [(jump, shifts)], [ramp], times)
+    phase = variations._ShiftedPhase(fake(), fake(phase=leg), fake(), [(jump, shifts)], [ramp], times)
     whole = np.delete(np.linspace(0.0, 2.0, 21), 10)
     np.testing.assert_allclose(phase.mesh_cell_edges, np.sort([*whole, 0.94, 1.06, 1.95]))
     ends = phase.step_times
@@ -106,7 +106,7 @@ def test_segments_of_a_finer_mesh_and_junction_times(monkeypatch: pytest.MonkeyP
     """Breaks 1, 2, 3 are movable; only beside segment 2 is an arc, and a bang-bang switch is at 2."""
     coarse, fine = fake(breaks=(0.0, 0.5, 1.0)), fake(breaks=(0.0, 0.2, 0.5, 0.9, 1.0), movable=(1, 2, 3))
     np.testing.assert_array_equal(goh._map_refined_to_coarse_segments(coarse, fine), [0, 0, 1, 1])
-    s = fake(leg=fake(mesh=fine, breaks=np.array([0.0, 1.0, 2.0, 3.0, 4.0])))
+    s = fake(phase=fake(mesh=fine, breaks=np.array([0.0, 1.0, 2.0, 3.0, 4.0])))
     part = fake(times=np.array([10, 11, 12, 13, 14]), collocation=fake(mesh=fine))
     monkeypatch.setattr(goh, "find_bound_to_bound_switches", lambda s: (np.array([2.0]), np.array([0])))
     for singular, expected in (
@@ -135,7 +135,7 @@ def test_goh_variables_of_a_phase_replace_its_singular_control(
     nodes, mesh = np.arange(6).reshape(2, 3), fake(segment_widths=np.array([0.36, 0.64]))
     parts = {"leg": fake(collocation=fake(boundary_states=nodes, mesh=mesh))}
     cone = fake(strong=np.eye(12, dtype=bool)[0], point=fake(transcription=fake(parts=parts)))
-    found = goh.transform_to_goh_variables(cone, [fake(leg=fake(name="leg"))])
+    found = goh.transform_to_goh_variables(cone, [fake(phase=fake(name="leg"))])
     np.testing.assert_array_equal(np.flatnonzero(found.strong), [0, 11])
     assert np.flatnonzero(cone.strong) == [0]
     unit = np.diag(np.where(np.arange(12) == 2, 1 / np.sqrt(0.32) if ends_singular else 2.0, 2.0))
@@ -143,7 +143,7 @@ def test_goh_variables_of_a_phase_replace_its_singular_control(
         found.unit.toarray(), np.hstack([np.delete(unit, [8, 9], axis=1), block.toarray()])
     )
     singular[:] = False
-    assert goh.transform_to_goh_variables(cone, [fake(leg=fake(name="leg"))]) is cone
+    assert goh.transform_to_goh_variables(cone, [fake(phase=fake(name="leg"))]) is cone
 
 
 def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
@@ -178,7 +178,7 @@ def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
             "here", order, least, why, **({"channels": (0,), "samples": (1, 3)} | place)
         )
 
-    s = fake(leg=fake(controls=fake(size=2)), times=np.zeros(4))
+    s = fake(phase=fake(controls=fake(size=2)), times=np.zeros(4))
     for one, found in (
         (arc(1, 0.5), True),
         (arc(2, 0.5), False),
@@ -227,7 +227,9 @@ def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -
         applied=lambda t: t,
         breaks=np.array([0.0, 1.0, 2.0, 4.0]),
     )
-    s = fake(leg=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0)
+    s = fake(
+        phase=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0
+    )
     times = np.array([0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(
         limit_terms.mask_limits_with_multipliers(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
@@ -259,7 +261,7 @@ def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPa
         u=np.where(t < 2, 1.0, 0.5)[None],
         state_multiplier=np.stack([(t >= 4) & (t <= 6), t < -1]).astype(float),
         mu=np.zeros((1, 12)),
-        leg=fake(control_bounds=interval(-1.0, 1.0)),
+        phase=fake(control_bounds=interval(-1.0, 1.0)),
     )
     monkeypatch.setattr(
         switching, "mask_controls_set_by_active_limits", lambda problem, s, times: (times == 11)[None]
@@ -303,11 +305,11 @@ def test_lagrangian_of_two_linked_phases() -> None:
             x=lambda t: np.array([x]),
             final_bounds=bounds,
         )
-        return fake(leg=phase, lam=np.array([[9.0, 4.0]]), state_scale=np.ones(1))
+        return fake(phase=phase, lam=np.array([[9.0, 4.0]]), state_scale=np.ones(1))
 
     def shift(s: Any, amounts: Array, q: Array) -> Any:
         def integrate_phase(begin: Array, cost: float) -> Any:
-            return begin + amounts[:1] * (s.leg.name == "a"), np.zeros((0, 3)), 0.1 * amounts[0], []
+            return begin + amounts[:1] * (s.phase.name == "a"), np.zeros((0, 3)), 0.1 * amounts[0], []
 
         return fake(integrate_phase=integrate_phase, times=np.zeros((2, 3)), functions=fake(p=None))
 
@@ -360,7 +362,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     leg = fake(name="leg", applied=lambda t: u, control_bounds=interval([-1.0, -1.0], [1.0, 1.0]))
     deviation = np.array([[0.5, 0.5, 0.5, 0.25], [1.0, 2.0, 1.0, 1.0]])
     own = fake(phases={"leg": fake(deviation=deviation, start=fake(radius=np.array([2.0, 0.5])))})
-    ((name, at, shape),) = variations._list_control_variations(fake(), fake(leg=leg, times=times), own)
+    ((name, at, shape),) = variations._list_control_variations(fake(), fake(phase=leg, times=times), own)
     assert name == "leg" and at is times
     expected = np.array([[0.25, 0.0, 0.0, 0.0625], [1.0, 4.0, 1.0, 1.0]])
     np.testing.assert_allclose(shape, 0.02 * expected / 2.0)
@@ -373,7 +375,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     solution = fake(need_problem=lambda _: problem, parameter_values=np.array([0.5]))
 
     def found(**changes: Any) -> list[tuple[str, str, list[float]]]:
-        s = fake(leg=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
+        s = fake(phase=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
         steps = variations._build_end_and_parameter_variations(solution, [s], own)
         return [(kind, phase, (step / 0.02).tolist()) for kind, phase, step in steps]
 
@@ -405,7 +407,7 @@ def test_vector_controls_in_which_h_is_affine() -> None:
         patterns = {"switching": ca.sparsify(bends).sparsity(), "paths": ca.sparsify(limited).sparsity()}
         functions = {k: fake(jac_sparsity=lambda *_, v=v: v) for k, v in patterns.items()}
         s = fake(
-            leg=fake(
+            phase=fake(
                 controls=fake(size=6, slice=places.__getitem__),
                 vector_controls=(first, second),
                 path_labels=("length of n", "box", "length of m"),
@@ -428,7 +430,7 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
     s = fake(
         times=np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]),
         u=np.array([[0.0] * 6, [0.0, 4.0, 4.0, 0.0, 0.0, 4.0]]),
-        leg=fake(control_bounds=interval([0.0, 0.0], [1.0, 4.0])),
+        phase=fake(control_bounds=interval([0.0, 0.0], [1.0, 4.0])),
         control_scale=np.array([1.0, 2.0]),
         hamiltonian_scale=4.0,
     )

@@ -215,7 +215,7 @@ def test_a_zero_right_beside_its_own_switch_is_checked_by_its_slope() -> None:
         ),
         weights=(),
         breaks=ends,
-        control_bounds=s.leg.control_bounds,
+        control_bounds=s.phase.control_bounds,
     )
     assert np.min(np.diff(beside.times[beside.segments == 1])) < 1e-4 * 2.0
     assert "touches" not in check_strict_bang_bang_property([beside]).where
@@ -334,8 +334,8 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
     assert bool(_find_bang_bang_control([s])) is (bend <= 1e-8)
-    mesh = go.Mesh(s.leg.mesh.breaks, s.leg.mesh.degrees, (1,))  # the switching time is a variable
-    assert not _find_bang_bang_control([replace(s, leg=replace(s.leg, mesh=mesh))])
+    mesh = go.Mesh(s.phase.mesh.breaks, s.phase.mesh.degrees, (1,))  # the switching time is a variable
+    assert not _find_bang_bang_control([replace(s, phase=replace(s.phase, mesh=mesh))])
 
 
 def test_simple_meshes_get_thirty_points() -> None:
@@ -353,7 +353,7 @@ def test_obstacles_are_reported_by_their_phase() -> None:
     text = "phase leg, t = 0.8 s, u: the control is between its limits"
     assert explain_why_not_bang_bang([s, between]) == text
     assert not is_bang_bang([s, between])
-    short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
+    short = replace(s.phase, final_time=s.phase.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
     text = explain_why_not_bang_bang([PhaseSamples.from_phase(short, s.functions)])
     assert text == "phase leg has no length"
 
@@ -377,7 +377,7 @@ class Case:
 
     def __post_init__(self) -> None:
         leg = self.solution.phase()
-        self.leg, self.functions = leg, self.solution.phase_functions(leg.name)
+        self.phase, self.functions = leg, self.solution.phase_functions(leg.name)
         self.samples = PhaseSamples.from_phase(leg, self.functions)
         self.times = leg.breaks
         self.controls = leg.applied(0.5 * (self.times[1:] + self.times[:-1]))
@@ -392,9 +392,9 @@ class Case:
     def flown_end(self, unknowns: Array) -> Array:
         """States, integrals and time at the end by DOP853."""
         times, start = np.split(unknowns, [self.times.size])
-        y = np.concatenate([self.leg.x(self.times[0]), np.zeros(self.leg.integrals.size)])
+        y = np.concatenate([self.phase.x(self.times[0]), np.zeros(self.phase.integrals.size)])
         y[self.free_start] = start
-        n, rates = self.leg.states.size, self.functions.buffered_state_rates()
+        n, rates = self.phase.states.size, self.functions.buffered_state_rates()
         for k, (left, right) in enumerate(pairwise(times)):
 
             def rate(t: float, y: Array, u: Array = self.controls[:, k]) -> Array:

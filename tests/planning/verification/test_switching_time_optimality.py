@@ -401,7 +401,7 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         evaluate_rates_paths_and_integrands=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t)
     )
     phase: Any = SimpleNamespace(
-        samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True
+        samples=SimpleNamespace(phase=leg), functions=functions, _has_active_limits=True
     )
     t, y, u = np.array([1.0, 3.0]), np.array([[2.0, 4.0], [-1.0, 0.5], [9.0, 9.0]]), np.array([[1.0, 3.0]])
     found = _ShiftedPhase.evaluate_rates(phase, t, y, u)

@@ -98,7 +98,7 @@ def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
 
 
 def guess_end_states_from_constraint(
-    constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
+    constraint: Constraint, phases: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Record end values in phases from constraint rows that are affine in a single end state.
 
@@ -106,7 +106,7 @@ def guess_end_states_from_constraint(
     """
     owners = {
         symbol.element_hash(): (phase, end, name, i)
-        for phase in legs
+        for phase in phases
         for end, state in (("initial", phase.initial_state), ("final", phase.final_state))
         for name in phase.model.states.names
         for i, symbol in enumerate(ca.vertsplit(state(name)))

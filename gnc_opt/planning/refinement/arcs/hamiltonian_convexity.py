@@ -26,7 +26,7 @@ SLOPE_PROBE_SHARE = 0.1
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
     """Return which controls, with two finite limits, are linear in H or always at path constraints, (m,)."""
-    bounds, limits = samples.leg.control_bounds, find_linear_path_constraints(samples)
+    bounds, limits = samples.phase.control_bounds, find_linear_path_constraints(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     linear = _mask_linear_controls(samples)
     for i in limits.rows:
@@ -36,7 +36,7 @@ def mask_affine_controls(samples: PhaseSamples) -> Mask:
 
 def mask_nonconvex_controls(samples: PhaseSamples) -> Mask:
     """Return which controls with two finite bounds have H neither linear nor convex along the phase, (m,)."""
-    bounds = samples.leg.control_bounds
+    bounds = samples.phase.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     return np.asarray(bounded & ~_mask_linear_controls(samples) & ~mask_convex_controls(samples))
 
@@ -94,7 +94,7 @@ class LinearPathLimits:
     @classmethod
     def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearPathLimits:
         """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
-        phase, found = samples.leg, dict[int, tuple[int, ...]]()
+        phase, found = samples.phase, dict[int, tuple[int, ...]]()
         slopes = np.zeros((len(phase.path_labels), samples.times.size))
         if not (phase.path_labels and np.any(linear)):
             return cls(samples, found, slopes)
@@ -138,13 +138,13 @@ class LinearPathLimits:
     def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
         """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
         above, below = self._compute_admissible_controls(control)
-        bounds, size = self.samples.leg.control_bounds, self.samples.times.size
+        bounds, size = self.samples.phase.control_bounds, self.samples.times.size
         lower, upper = np.full(size, bounds.lower[control]), np.full(size, bounds.upper[control])
         return np.max([lower, *below.values()], axis=0), np.min([upper, *above.values()], axis=0)
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
-        bounds = self.samples.leg.control_bounds
+        bounds = self.samples.phase.control_bounds
         own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
         above, below = self._compute_admissible_controls(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
@@ -162,7 +162,7 @@ class LinearPathLimits:
 
     def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
-        s, bounds = self.samples, self.samples.leg.path_bounds
+        s, bounds = self.samples, self.samples.phase.path_bounds
         u, values = s.u[control], s.functions.path_constraints(s.times, s.x, s.u)
         above, below = dict[int, Array](), dict[int, Array]()
         for row in self.rows[control]:

@@ -64,7 +64,7 @@ class ContactNodes:
 
     def add_contact_arcs(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
         held, order = self.scaled_multipliers > 0, structure.orders[self.row]
-        nodes, (first, last) = np.flatnonzero(held), samples.leg.breaks[[0, -1]]
+        nodes, (first, last) = np.flatnonzero(held), samples.phase.breaks[[0, -1]]
         touches = structure.list_touch_times(self.row, self.kind)
         beside = [t for t in touches if self.times[0] <= t <= self.times[-1]]
         is_long = nodes[-1] - nodes[0] >= TOUCH_MAX_NODES
@@ -98,7 +98,7 @@ class ContactNodes:
 
         Gauss points do not impose the constraint there: the multiplier of the adjacent points replaces it.
         """
-        s, phase, path = samples, samples.leg, self.row - structure.n_controls
+        s, phase, path = samples, samples.phase, self.row - structure.n_controls
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
         for end, given, node in ((0, phase.initial_bounds, a), (-1, phase.final_bounds, b - 1)):
@@ -127,7 +127,7 @@ class ContactNodes:
 
         A single such control leaves its bound at the start of the arc (side 0) and reaches one at its end (side 1).
         """
-        breaks, boundary_arc_controls = samples.leg.breaks, structure.boundary_arc_controls[self.row]
+        breaks, boundary_arc_controls = samples.phase.breaks, structure.boundary_arc_controls[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
@@ -155,7 +155,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
     found: list[ContactNodes] = []
     if not rows:
         return found
-    offsets, points = s.leg.mesh.point_offsets, s.leg.point_times
+    offsets, points = s.phase.mesh.point_offsets, s.phase.point_times
     times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.list_finite_limits(int(row)):
@@ -177,7 +177,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
 
 def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
-    phase = constraints.samples.leg
+    phase = constraints.samples.phase
     inner, (points, x, u) = phase.breaks[1:-1], phase.point_trajectory
     times = np.concatenate([points, inner])
     x, u = np.hstack([x, phase.x(inner)]), np.hstack([u, phase.u(inner)])
@@ -211,7 +211,7 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
 
     On a mesh, control and switching function oscillate about their values; means of both and the multiplier are used.
     """
-    constraints, phase = StateConstraints(problem, samples), samples.leg
+    constraints, phase = StateConstraints(problem, samples), samples.phase
     points, u = phase.point_times, np.hstack(phase.u.values)
     found = []
     rows = [row for row in range(constraints.n_rows) if constraints.get_order_of_constraint_contact(row)]
@@ -271,7 +271,7 @@ def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> Correct
         added = run.add_contact_arcs(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.scaled_multipliers))]
-            label = (*s.leg.path_labels, *s.leg.states.labels)[run.row - structure.n_controls]
+            label = (*s.phase.path_labels, *s.phase.states.labels)[run.row - structure.n_controls]
             return added, f"active limit of {label} added at {s.describe_times(at)}"
     return None, ""
 
@@ -285,7 +285,7 @@ def replace_saturated_arc_controls(constraints: StateConstraints, plan: ArcMesh)
     samples, structure = constraints.samples, plan.structure
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
-    bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
+    bounds, subarcs = samples.phase.control_bounds, plan.segment_subarc_indices[samples.segments]
     for boundary in range(1, structure.n_subarcs):
         taken = structure.find_state_to_control_limit_change(boundary)
         if not taken:
@@ -301,7 +301,7 @@ def replace_saturated_arc_controls(constraints: StateConstraints, plan: ArcMesh)
             last = slice(within[-1], within[-1] + 2)
             at_limit = float(np.interp(0.0, beyond[last], times[last]))
             start, end = sorted((at_limit, structure.times[boundary]))
-            label = samples.leg.controls.labels[row]
+            label = samples.phase.controls.labels[row]
             action = f"{label} at its bound from {samples.describe_times(start)}"
             return structure.with_inserted_arc(row, start, end, kind), action
     return None, ""

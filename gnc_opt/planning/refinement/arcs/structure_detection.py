@@ -48,7 +48,7 @@ def detect_control_structure(samples: PhaseSamples, determined: Sequence[ArcCont
     whole segments with the control off its bounds; short bangs next to those are noise. Other controls are classified
     by their distances from the bounds, path constraints and states by distances and multipliers.
     """
-    phase, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
+    phase, regular, affine = samples.phase, mask_convex_controls(samples), mask_affine_controls(samples)
     strictly = mask_regular_controls(samples)
     limits = find_linear_path_constraints(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(phase.controls.size)]
@@ -136,7 +136,7 @@ def _compute_relative_hamiltonian_change(samples: PhaseSamples, gradient: Array,
 
 def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
     """Assign short bangs next to a singular arc to it if the switching function is small or the control far off."""
-    bounds = samples.leg.control_bounds
+    bounds = samples.phase.control_bounds
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
     noise = np.empty(labels.size, dtype=bool)
@@ -148,7 +148,7 @@ def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gr
 
 def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
     """Assign the adjacent arcs shorter than `SHORT_ARC_SEGMENTS` segments to arcs of a label, if all are candidates."""
-    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    lengths = np.diff(samples.phase.breaks)[samples.segments]
     grown = True
     while grown:
         grown = False
@@ -166,7 +166,7 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
 
     A single segment does not count: it may contain a switch.
     """
-    phase = samples.leg
+    phase = samples.phase
     bounds, margin = phase.control_bounds, NOTABLE * samples.control_scale[i]
     found = []
     for k, values in enumerate(phase.u.values):
@@ -179,15 +179,15 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
 
 def _classify_nonlinear_arcs(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
-    at_lower, at_upper = samples.leg.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
+    at_lower, at_upper = samples.phase.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
     labels = _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
-    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    lengths = np.diff(samples.phase.breaks)[samples.segments]
     for first, last in find_equal_value_intervals(labels):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
-            high = samples.u[i, first:last] > samples.leg.control_bounds.midpoint[i]
+            high = samples.u[i, first:last] > samples.phase.control_bounds.midpoint[i]
             labels[first:last] = select_kind(high, ArcKind.UPPER, ArcKind.LOWER)
     return labels
 
@@ -200,7 +200,7 @@ def _find_control_signs_in_mixed_constraints(
     Mixed path constraints are inequalities on regular controls, which become active with a kink; not norms of
     directions.
     """
-    phase, depends = samples.leg, np.any(slopes != 0, axis=2)
+    phase, depends = samples.phase, np.any(slopes != 0, axis=2)
     lengths = [v.direction_norm_constraint_name for v in phase.vector_controls]
     inequality = (phase.path_bounds.lower < phase.path_bounds.upper) & ~np.isin(phase.path_labels, lengths)
     depends &= (inequality & ~np.any(depends & ~regular, axis=1))[:, None]
@@ -221,7 +221,7 @@ def _classify_path_constraint_arcs(samples: PhaseSamples, mixed: Mask, depends: 
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     margin = SMALL * np.max(np.abs(values), axis=1)
-    at_lower, at_upper = samples.leg.path_bounds.is_near_limits(values, margin)
+    at_lower, at_upper = samples.phase.path_bounds.is_near_limits(values, margin)
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_label_arcs_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
@@ -234,8 +234,8 @@ def _classify_state_constraint_arcs(
     A state has an arc on its bound along segments on which it stays there while its rate depends on a singular control,
     and wherever the bound has a multiplier. Arcs do not include an end of the phase with another given value.
     """
-    first = len(samples.leg.path_labels)
-    phase, rows, commanded = samples.leg, [], _mask_states_driven_by_singular_controls(samples, controls)
+    first = len(samples.phase.path_labels)
+    phase, rows, commanded = samples.phase, [], _mask_states_driven_by_singular_controls(samples, controls)
     ends = ((0, phase.initial_bounds), (phase.mesh.segments - 1, phase.final_bounds))
     for i in range(phase.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)

@@ -122,7 +122,7 @@ def _insert_arc_at_largest_violation(
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_largest_violation_interval(samples.times, violation[i])
-    label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
+    label = (*samples.phase.controls.labels, *samples.phase.path_labels)[i]
     limits = find_linear_path_constraints(samples)
     extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
     if extended == structure:  # between boundaries that are a rounding apart
@@ -137,7 +137,7 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Corre
     opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds, it is
     the relative excess. Mixed path constraints are treated alike.
     """
-    bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
+    bounds, paths = samples.phase.control_bounds, samples.phase.path_bounds
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
     sizes = np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)
     scales = np.concatenate([samples.control_scale, sizes])
@@ -150,7 +150,7 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Corre
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
     regular = np.array(plan.structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = find_linear_path_constraints(samples).linear_path_constraints
-    limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
+    limiting = np.append(np.zeros(samples.phase.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(mask_affine_controls(samples), linear)[:, None]
     curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
     checked = (affine | regular | curved) & (signs != 0)
@@ -171,7 +171,7 @@ def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Corre
     A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
     """
     samples = constraints.samples
-    bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
+    bounds, subarcs = samples.phase.control_bounds, plan.segment_subarc_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_rows_near_limit_changes()[: len(singular)]
     singular = (singular & ~released)[:, subarcs]
@@ -248,7 +248,7 @@ def find_junction_time(
     constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
 ) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
-    phase, first = constraints.samples.leg, structure.n_controls
+    phase, first = constraints.samples.phase, structure.n_controls
     entered = structure.kinds[boundary][row].is_at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
@@ -266,7 +266,7 @@ def find_junction_time(
 def _find_constraint_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
-    direction, phase, functions = before.sign or after.sign, samples.leg, samples.functions
+    direction, phase, functions = before.sign or after.sign, samples.phase, samples.functions
     boxes = (phase.control_bounds, phase.path_bounds)
     limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
     subarcs = plan.segment_subarc_indices[samples.segments]

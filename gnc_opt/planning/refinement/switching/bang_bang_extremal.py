@@ -126,7 +126,7 @@ class _EndConditions:
     """
 
     def __init__(self, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> None:
-        phase, n, limits = s.leg, s.leg.states.size, problem.get_boundary_constraint_bounds()
+        phase, n, limits = s.phase, s.phase.states.size, problem.get_boundary_constraint_bounds()
         self.problem, self.s, self.flow, self.size = problem, s, flow, n + phase.integrals.size + 1
         self.given = np.flatnonzero(phase.final_bounds.is_fixed)
         self.free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
@@ -229,7 +229,7 @@ class SwitchedFlow:
     @property
     def integration_grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
-        phase = self.s.leg
+        phase = self.s.phase
         return np.asarray(self.step.flow.states[phase.states.size + phase.integrals.size])
 
     @property
@@ -240,12 +240,12 @@ class SwitchedFlow:
     @property
     def states(self) -> Array:
         """States (n_states, n_steps + 1)."""
-        return self.step.flow.states[: self.s.leg.states.size]
+        return self.step.flow.states[: self.s.phase.states.size]
 
     @cached_property
     def costates(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
-        return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
+        return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.phase.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory, which may exceed limits, as a solution with one point per integration step."""
@@ -255,12 +255,12 @@ class SwitchedFlow:
         breaks, controls = np.append(grid[first], grid[-1]), self.step.flow.controls[:, first]
         flat, all_u = at.ravel(), np.repeat(controls, STEP_PARTS + 1, axis=1)
         x, lam = self.states[:, flat], self.costates[:, flat]
-        nothing = np.zeros((len(s.leg.path_labels), flat.size))
+        nothing = np.zeros((len(s.phase.path_labels), flat.size))
         forces = -s.functions.state_gradient(grid[flat], x, all_u, lam, nothing)
         of_x = _interpolate_hermite(breaks, x, s.functions.state_rates(grid[flat], x, all_u))
         of_lam = _interpolate_hermite(breaks, lam, forces)
         found = replace(
-            s.leg,
+            s.phase,
             mesh=Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * first.size),
             x=of_x,
             u=PiecewisePolynomial(breaks, (np.zeros(1),) * first.size, tuple(controls.T[:, :, None])),
@@ -276,7 +276,7 @@ class SwitchedFlow:
         s, times = self.s, self.integration_grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
         values = s.functions.switching_functions(times, self.states, controls, self.costates)
-        wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
+        wrong = np.where(controls == s.phase.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for own, bounds in zip(wrong, controls, strict=True):
             clear_violations_near_switches(own, bounds)
@@ -309,8 +309,8 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
 
     It may exceed limits. The plan is that of the structure after the last Newton step.
     """
-    problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
-    phase, mesh, ends = s.leg, plan.build_mesh(), plan.structure.times
+    problem, s, n = known.need_problem("refine"), flight.s, flight.s.phase.states.size
+    phase, mesh, ends = s.phase, plan.build_mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
     breaks[-1] = ends[-1]
     rule = get_collocation_rule(phase.scheme, mesh.degrees[0])
@@ -380,7 +380,7 @@ def _build_solution_from_bang_bang_flow(
 def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> bool:
     """Return whether states and path constraints at the samples, and end values, are within inequality limits."""
     (s,) = trajectory.samples().values()
-    phase = s.leg
+    phase = s.phase
     ends = (
         (phase.final_bounds, phase.x(phase.final_time, "left"), state_scale),
         (phase.initial_time_bounds, phase.initial_time, s.span),

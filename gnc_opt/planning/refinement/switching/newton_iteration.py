@@ -174,7 +174,7 @@ def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy
 
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
-    phase = s.leg
+    phase = s.phase
     boxes = (phase.final_bounds, phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds)
     box = stack_intervals(boxes)
     values = np.append(s.x[:, -1], [phase.initial_time, phase.final_time, phase.duration])
@@ -196,7 +196,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 
 def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
-    bounds = s.leg.control_bounds
+    bounds = s.phase.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
     first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
@@ -206,7 +206,7 @@ def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switch
 
 def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
-    at_upper = piecewise.controls == s.leg.control_bounds.upper[:, None]
+    at_upper = piecewise.controls == s.phase.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
     kept = np.diff(piecewise.times) > 0
