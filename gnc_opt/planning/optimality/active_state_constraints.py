@@ -386,13 +386,15 @@ class PureStateConstraints:
     active: Mask
 
     @classmethod
-    def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> PureStateConstraints:
-        """Evaluate state bounds and pure state path constraints."""
+    def from_states(
+        cls, s: PhaseSamples, limits: Interval, times: Array, x: Array, u: Array
+    ) -> PureStateConstraints:
+        """Evaluate limits of the states and pure state path constraints."""
         phase, pure = s.phase, s.pure_state_constraints
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
-        box = stack_intervals([phase.state_bounds, phase.path_bounds.select_components(pure)])
+        box = stack_intervals([limits, phase.path_bounds.select_components(pure)])
         scales = np.concatenate([s.state_scale, s.path_scale[pure]])
         values = np.vstack([x, s.functions.path_constraints(times, x, u)[pure]])
         at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
@@ -408,7 +410,8 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """
     breaks = s.phase.breaks[1:-1]
     jumps = s.phase.lam(breaks, "left") - s.phase.lam(breaks, "right")
-    pushers = PureStateConstraints.from_states(s, breaks, s.phase.x(breaks), s.phase.applied(breaks))
+    at = breaks, s.phase.x(breaks), s.phase.applied(breaks)
+    pushers = PureStateConstraints.from_states(s, s.phase.state_bounds, *at)
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
     densities = [s.phase.state_multipliers, s.phase.path_multipliers[s.pure_state_constraints]]
     beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
@@ -448,21 +451,18 @@ def explain_transversality_residual(s: PhaseSamples, at: int, ends: EndGradients
     given = phase.final_bounds if at else phase.initial_bounds
     limits = intersect_bounds(given, phase.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
-    multipliers, rows = np.zeros(len(phase.path_labels)), np.concatenate([pure, pure])
-    nothing = TransversalityResidual(gap, multipliers, np.zeros(n), 0.0, limits)
-    pushers = PureStateConstraints.from_states(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-    sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
-    active = pushers.active[sides, 0]
-    rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
-    if not sides.size or not np.all(np.isfinite(gap)):
-        return nothing
-    at_lower, at_upper = limits.is_near_limits(s.x[:, at], AT_LIMIT * s.state_scale)
-    own = np.eye(n)
-    every = np.hstack([pushers.directions[:, sides, 0], own[:, at_upper], -own[:, at_lower]])
-    sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]
-    np.add.at(multipliers, rows, signs * sizes)
-    drift = float(pushers.drifts[sides, 0] @ sizes)
-    return TransversalityResidual(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
+    pushers = PureStateConstraints.from_states(s, limits, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    active = np.flatnonzero(pushers.active[:, 0])
+    directions, sizes = pushers.directions[:, active, 0], np.zeros(active.size)
+    if active.size and np.all(np.isfinite(gap)):
+        sizes = scipy.optimize.nnls(directions * s.state_scale[:, None], gap * s.state_scale)[0]
+    of_paths = np.where(active % (n + pure.size) >= n, sizes, 0.0)
+    every, multipliers = np.zeros(pushers.active.shape[0]), np.zeros(len(phase.path_labels))
+    every[active] = of_paths
+    upper, lower = np.split(every, 2)
+    multipliers[pure] = (upper - lower)[n:]
+    drift = float(pushers.drifts[active, 0] @ of_paths)
+    return TransversalityResidual(gap, multipliers, directions @ of_paths, drift, limits)
 
 
 def integrate_multipliers_near_boundaries(s: PhaseSamples, densities: Array) -> Array:

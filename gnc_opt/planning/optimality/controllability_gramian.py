@@ -6,7 +6,7 @@ The ellipsoid follows from the weighted controllability Gramian, see the module 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask, compute_interval_midpoints
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
@@ -23,7 +24,7 @@ from gnc_opt.numerical_tolerances import (
     replace_zeros_by_one,
     set_nonfinite_to_zero,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
+from gnc_opt.planning.problem.hamiltonian_functions import evaluate_endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import subdivide_intervals
@@ -126,15 +127,9 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
         return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))
     n, n_integrals = start.shape[0], phase.integrals.size
     parts = -(-CELLS // phase.mesh.segments)
-    widths, at, by_state, by_control = _linearise_dynamics(s)
-    with np.errstate(all="ignore"):
-        integrands = [_differentiate_integrand(s, *at, i) for i in range(n_integrals)]
-    if n_integrals:  # integrals are states without influence on others
-        slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
-        by_state = np.concatenate([by_state, set_nonfinite_to_zero(slopes[0])], axis=1)
-        by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
-        by_control = np.concatenate([by_control, set_nonfinite_to_zero(slopes[1])], axis=1)
-        start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
+    widths, _, by_state, by_control, _ = linearise_dynamics(s)
+    by_state = np.pad(by_state, ((0, 0), (0, 0), (0, n_integrals)))  # without influence of the integrals
+    start = np.pad(start, (0, n_integrals))
     half = exponentiate_matrices(0.5 * widths[:, None, None] * by_state)
     pushes = s.integrate_over_segments(deviation)
     strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
@@ -159,29 +154,39 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
 
 def differentiate_final_state_by_controls(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
-    widths, (times, x, u), by_state, by_control = _linearise_dynamics(s)
-    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state), np.eye(x.shape[0])
-    found = np.zeros((x.shape[0], *u.shape))
+    n, m = s.phase.states.size, s.phase.controls.size
+    widths, times, by_state, by_control, _ = linearise_dynamics(s)
+    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state[:, :n]), np.eye(n)
+    found = np.zeros((n, m, widths.size))
     for k in reversed(range(widths.size)):
         onwards = onwards @ halves[k]
-        found[:, :, k] = onwards @ by_control[k]
+        found[:, :, k] = onwards @ by_control[k, :n]
         onwards = onwards @ halves[k]
     return times, found
 
 
-def sample_trajectory_at_cell_centres(s: PhaseSamples) -> tuple[Array, Array, Array]:
-    """Return the centres of the cells of a phase (n_cells,), states and applied controls there."""
-    times = compute_interval_midpoints(subdivide_mesh_segments(s.phase.breaks))
-    return times, s.phase.x(times), s.phase.applied(times)
+def linearise_dynamics(s: PhaseSamples) -> tuple[Array, Array, Array, Array, Array]:
+    """Return widths and centres of cells, and finite Jacobians of rates and integrands in x, u and q there.
 
+    The Jacobians are (n_cells, n_states + n_integrals, ...).
+    """
+    f, edges = s.functions, subdivide_mesh_segments(s.phase.breaks)
 
-def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Array], Array, Array]:
-    """Return widths and centres of cells, and the finite Jacobians there in states and controls (n_cells, n, ...)."""
-    at = sample_trajectory_at_cell_centres(s)
+    def build_jacobian_function() -> Any:
+        symbols = [ca.SX.sym("v", f.functions["rates"].size1_in(i)) for i in range(8)]
+        rates = ca.vertcat(*(f.functions[name](*symbols) for name in ("rates", "integrands")))
+        jacobian = ca.jacobian(rates, ca.vertcat(symbols[1], symbols[2], symbols[7]))
+        return ca.Function("linearised", [*symbols[:3], *symbols[6:]], [ca.densify(ca.vec(jacobian.T))])
+
+    key, times = "rate and integrand jacobian", compute_interval_midpoints(edges)
+    if key not in f.functions:
+        f.functions[key] = build_jacobian_function()
+    x, u = s.phase.x(times), s.phase.applied(times)
     with np.errstate(all="ignore"):
-        found = s.functions.state_jacobian(*at), s.functions.dynamics_control_jacobian(*at)
-    by_state, by_control = (np.moveaxis(set_nonfinite_to_zero(jacobian), 2, 0) for jacobian in found)
-    return np.diff(subdivide_mesh_segments(s.phase.breaks)), at, by_state, by_control
+        flat = evaluate_casadi_batch(f.functions[key], times.size, times[None], x, u, f.p, f.q)
+    found = set_nonfinite_to_zero(flat.T.reshape(times.size, -1, len(x) + len(u) + f.q.size))
+    by_state, by_control, by_parameter = np.split(found, [len(x), len(x) + len(u)], axis=2)
+    return np.diff(edges), times, by_state, by_control, by_parameter
 
 
 def exponentiate_matrices(matrices: Array) -> Array:
@@ -194,14 +199,6 @@ def exponentiate_matrices(matrices: Array) -> Array:
 def subdivide_mesh_segments(breaks: Array) -> Array:
     """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
     return subdivide_intervals(breaks, -(-CELLS // (breaks.size - 1)))
-
-
-def _differentiate_integrand(
-    s: PhaseSamples, times: Array, x: Array, u: Array, i: int
-) -> tuple[Array, Array]:
-    alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
-    none = np.zeros_like(x), np.zeros((len(s.phase.path_labels), times.size))
-    return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
 
 
 def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Array) -> Reach:
@@ -280,19 +277,19 @@ def differentiate_linked_initial_states(
 
 def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
-
-    def build_jacobian_function() -> Any:
-        ends = get_endpoint_value_function(problem)
-        inputs = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
-        column = ends(*inputs)[:-1]
-        states = [inputs[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
-        return ca.Function("end_jacobians", inputs[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
-
-    function = problem.memoize("end jacobians", build_jacobian_function)
-    arguments = [value for phase in solution.phases.values() for value in phase.endpoint_arguments]
-    found = function(*arguments, solution.parameter_values)
-    found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
-    return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
+    ends = {name: phase.endpoint_arguments for name, phase in solution.phases.items()}
+    units = np.vstack(
+        [np.zeros((1, len(solution.constraint_labels))), np.eye(len(solution.constraint_labels))]
+    )
+    rows = [evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nu) for nu in units]
+    found = {}
+    for name in ends:
+        gradients = (
+            np.stack([getattr(row, end)[name] for row in rows]) for end in ("initial_state", "final_state")
+        )
+        at_start, at_end = (g[1:] - g[0] for g in gradients)
+        found[name] = at_start, at_end
+    return found
 
 
 def _reshape_scale_for_time_series(scale: Array, values: Array) -> Array:

@@ -13,7 +13,6 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     MINOR,
     NOTABLE,
-    TINY,
     max_norm,
     replace_tiny_by_one,
     set_nonfinite_to_zero,
@@ -114,7 +113,7 @@ BESIDE = 1.3
 
 def estimate_control_deviations(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
-    lasts, u = max(float(np.sum(s.weights)), TINY), s.u
+    lasts, u = s.span, s.u
     about = set_nonfinite_to_zero(np.abs(u - (u @ s.weights / lasts)[:, None]))
     size = np.max(np.abs(set_nonfinite_to_zero(u)), axis=1)
     mean = about @ s.weights / lasts
@@ -139,8 +138,7 @@ def estimate_control_deviations(s: PhaseSamples) -> Array:
 
 def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
     """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
-    lasts = max(float(np.sum(s.weights)), TINY)
-    cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
+    cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / s.span
     balanced = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     idle = size <= EQUAL * balanced
     still = max_norm(s.x - s.x[:, :1]) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
@@ -150,8 +148,6 @@ def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Ar
 def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     asked, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
-    if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
-        return np.zeros_like(size)
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
     effects = (s.functions.dynamics_control_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
     own, beside = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
@@ -165,9 +161,8 @@ def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: M
     """Return deviations in which those of inactive controls (m,) cost as much as those of all others together."""
     if not np.any(idle):
         return deviation
-    lasts = max(float(np.sum(s.weights)), TINY)
     bends = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     extent = s.phase.control_bounds.upper - s.phase.control_bounds.lower
-    other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
+    other = np.where(np.isfinite(extent) & (bends == 0), extent, equal)
     return np.where(idle[:, None], np.fmax(other[:, None], deviation), deviation)

@@ -12,7 +12,7 @@ The measures do not depend on units, origins, moving frames, mixtures of states,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     compute_phase_reachable_sets,
     differentiate_final_state_by_controls,
     differentiate_linked_initial_states,
-    sample_trajectory_at_cell_centres,
+    linearise_dynamics,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     compute_integral_scales,
@@ -159,7 +159,7 @@ class Scales:
         cost = max(cost, EQUAL * abs(solution.objective), least)
         parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
-            columns = {s.phase.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
+            columns = {s.phase.name: linearise_dynamics(s)[-1] * parameters for s in lasting}
             reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
@@ -306,22 +306,6 @@ def _differentiate_lagrangian(solution: Solution, samples: list[PhaseSamples], q
         ends[s.phase.name] = [*s.phase.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
-
-
-def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
-    """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
-    phase, (middles, x, u) = s.phase, sample_trajectory_at_cell_centres(s)
-    mu = np.zeros((len(phase.path_labels), middles.size))
-    idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)
-    rows = []
-    for i in range(x.shape[0]):
-        costates = np.zeros_like(x)
-        costates[i] = 1.0
-        rows.append(s.functions.parameter_gradient(middles, x, u, costates, mu) - idle)
-    for i in range(phase.integrals.size):
-        alone = replace(s.functions, weights=np.eye(phase.integrals.size)[i])
-        rows.append(alone.parameter_gradient(middles, x, u, np.zeros_like(x), mu))
-    return np.moveaxis(set_nonfinite_to_zero(np.stack(rows)), 2, 0)
 
 
 # --- ends -------------------------------------------------------------------------------------------------

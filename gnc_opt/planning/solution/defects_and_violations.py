@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -30,7 +29,7 @@ RELATIVE_TOLERANCE = 1e-11
 
 @dataclass(frozen=True)
 class Propagation:
-    """States integrated from the initial state with given controls.
+    """States integrated from the initial state with the applied controls.
 
     Attributes
     ----------
@@ -49,20 +48,10 @@ class Propagation:
     ended: str = ""
 
 
-def integrate_dynamics(
-    phase: PhaseSolution,
-    functions: PhaseFunctions,
-    *,
-    control: Literal["flown", "polynomial"] = "flown",
-    rtol: float = RELATIVE_TOLERANCE,
-) -> Propagation:
-    """Return the integrated states of a phase (DOP853), restarted at every discontinuity; see `Solution.propagate`.
-
-    The absolute tolerance is ``rtol`` times the magnitude of each state.
-    """
-    signal: Callable[..., Array] = phase.applied if control == "flown" else phase.u
-    edges = phase.applied.jump_times if control == "flown" else phase.breaks
-    states, ended = _integrate_between_control_jumps(phase, functions, edges, signal, rtol)
+def integrate_dynamics(phase: PhaseSolution, functions: PhaseFunctions) -> Propagation:
+    """Return the integrated states of a phase with the applied control; see `Solution.propagate`."""
+    edges = phase.applied.jump_times
+    states, ended = _integrate_between_control_jumps(phase, functions, edges)
     error = states[:, -1] - phase.x(phase.breaks[-1], "left")
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
@@ -73,7 +62,7 @@ def integrate_states_to_times(phase: PhaseSolution, functions: PhaseFunctions, t
     Times must not decrease; states are NaN after an early end.
     """
     edges = np.union1d(phase.applied.jump_times, times)
-    states, _ = _integrate_between_control_jumps(phase, functions, edges, phase.applied)
+    states, _ = _integrate_between_control_jumps(phase, functions, edges)
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
@@ -87,7 +76,7 @@ def compute_propagation_errors(phase: PhaseSolution, functions: PhaseFunctions, 
     for column, k in enumerate(segments):
         left, right = phase.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
-        states, _ = _integrate_between_control_jumps(phase, functions, edges, phase.applied, budget=budget)
+        states, _ = _integrate_between_control_jumps(phase, functions, edges, budget)
         misses[:, column] = phase.x(right, "left") - states[:, -1]
     return np.where(np.isfinite(misses), misses, np.inf)
 
@@ -96,21 +85,20 @@ def _integrate_between_control_jumps(
     phase: PhaseSolution,
     functions: PhaseFunctions,
     edges: Array,
-    signal: Callable[..., Array],
-    rtol: float = RELATIVE_TOLERANCE,
     budget: CallLimit | None = None,
 ) -> tuple[Array, str]:
-    """Return the states at the edges of pieces with smooth control, and the cause of an early end.
+    """Return the states at the edges of pieces with smooth applied control (DOP853), and the cause of an early end.
 
-    The integration starts at the state of the first edge; states (n_states, n_edges) are NaN after an early end.
+    The integration starts at the state of the first edge; states (n_states, n_edges) are NaN after an early end. The
+    absolute tolerance is `RELATIVE_TOLERANCE` times the magnitude of each state.
     """
-    tolerance = Tolerance(rtol, compute_state_magnitudes(phase))
+    tolerance = Tolerance(RELATIVE_TOLERANCE, compute_state_magnitudes(phase))
     budget = budget or CallLimit(phase.states.labels)
     states = np.full((phase.states.size, edges.size), np.nan)
     states[:, 0] = phase.x(edges[0])
     rates = functions.buffered_state_rates()
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _interpolate_controls(signal, left, right, max(phase.mesh.degrees))
+        controls = _interpolate_controls(phase, left, right)
 
         def evaluate_state_rates(t: float, x: Array, controls: Controls = controls) -> Array:
             return rates(t, x, controls(np.array([t]))[:, 0])
@@ -131,11 +119,12 @@ def compute_state_magnitudes(phase: PhaseSolution) -> Array:
     return replace_tiny_by_one(take_largest_variable_component(largest, phase.states))
 
 
-def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
-    """Return the controls on an interval where they are polynomials of at most the given degree."""
+def _interpolate_controls(phase: PhaseSolution, left: float, right: float) -> Controls:
+    """Return the applied controls between two successive jump times, where they are polynomials."""
+    degree = max(phase.mesh.degrees)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     tau = chebyshev.chebpts1(degree + 1)
-    values = signal(middle + half * tau)
+    values = phase.applied(middle + half * tau)
     if np.all(values == values[:, :1]):  # constant, e.g. at a bound
         return lambda times: np.broadcast_to(values[:, :1], (values.shape[0], times.size))
     coefficients = np.asarray(chebyshev.chebfit(tau, values.T, degree)).T
@@ -314,9 +303,3 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     labels = samples.phase.states.labels
     defects = compute_segment_defects(samples)
     return Worst.find_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))
-
-
-def compute_final_propagation_error(samples: PhaseSamples) -> float:
-    """Return the largest propagation error of the applied control, relative to `state_scale`."""
-    run = integrate_dynamics(samples.phase, samples.functions)
-    return float(np.max(np.abs(run.error) / samples.state_scale))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gnc_opt.argument_checks import require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.numerical_tolerances import GONE, SHORTEST
+from gnc_opt.numerical_tolerances import GONE
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
@@ -98,9 +98,7 @@ def build_nlp_point_from_solution(
 
 def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:
     """Return the mesh with all breaks fixed at their final positions, without empty segments."""
-    if phase.duration < SHORTEST:
-        return replace(phase.mesh, movable=())
-    breaks = (phase.breaks - phase.initial_time) / phase.duration
+    breaks = (phase.breaks - phase.breaks[0]) / (phase.breaks[-1] - phase.breaks[0])
     stands = np.diff(breaks) > GONE
     degrees = tuple(n for n, kept in zip(phase.mesh.degrees, stands, strict=True) if kept)
     return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)

@@ -120,10 +120,6 @@ class PhaseSamples:
         return replace(self, times=times[order], segments=segments[order], weights=weights[order])
 
     @cached_property
-    def is_sample_at_segment_end(self) -> Mask:
-        return np.append(self.segments[1:] > self.segments[:-1], True)
-
-    @cached_property
     def times_inside_segments(self) -> Array:
         """Times (n_samples,); with discontinuous dynamics, segment ends are moved inwards by `GONE`.
 
@@ -137,7 +133,7 @@ class PhaseSamples:
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_inside_segments, "right")
-        ends = self.is_sample_at_segment_end
+        ends = np.append(self.segment_starts[1:], self.segments.size) - 1
         values[:, ends] = signal(self.times_inside_segments[ends], "left")
         return values
 

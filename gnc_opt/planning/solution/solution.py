@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -281,22 +281,12 @@ class Solution(PrintableResult):
         ends = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
         return found + find_boundary_values_outside_tables(problem, [*ends, self.parameter_values])
 
-    def propagate(
-        self,
-        phase: str | None = None,
-        *,
-        control: Literal["flown", "polynomial"] = "flown",
-        rtol: float = 1e-11,
-    ) -> Propagation:
-        """Return the dynamics integrated with the control of this solution, independently of the collocation.
+    def propagate(self, phase: str | None = None) -> Propagation:
+        """Return the dynamics integrated with the applied control (DOP853), independently of the collocation.
 
         Parameters
         ----------
         phase : str, optional
-        control : {"flown", "polynomial"}
-            Applied control within its bounds, or collocation polynomial.
-        rtol : float
-            Relative tolerance of the integrator (DOP853).
 
         Returns
         -------
@@ -304,7 +294,7 @@ class Solution(PrintableResult):
             Times, states and the error of each final state.
         """
         selected = self.phase(phase)
-        return integrate_dynamics(selected, self.phase_functions(selected.name), control=control, rtol=rtol)
+        return integrate_dynamics(selected, self.phase_functions(selected.name))
 
     def __str__(self) -> str:
         return summary(self)

@@ -26,10 +26,8 @@ from gnc_opt.planning.problem.guess.random_guess import does_start_keep_guess_sh
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.staged_refinement import StructureChoice
 from gnc_opt.planning.refinement.staged_refinement import refine as refine_solution
-from gnc_opt.planning.solution.defects_and_violations import (
-    compute_final_propagation_error,
-    find_worst_defect,
-)
+from gnc_opt.planning.solution.defects_and_violations import find_worst_defect
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, list_distinct_minima
@@ -83,10 +81,13 @@ def _halve_mesh_segments(mesh: Mesh) -> Mesh:
 
 def is_spurious_collocation_solution(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
+
+    def is_propagation_error_small(s: PhaseSamples) -> bool:
+        error = solution.propagate(s.phase.name).error
+        return bool(np.max(np.abs(error) / s.state_scale) < MISS)
+
     samples = solution.samples().values()
-    return any(
-        not (find_worst_defect(s).value < MISS or compute_final_propagation_error(s) < MISS) for s in samples
-    )
+    return any(not (find_worst_defect(s).value < MISS or is_propagation_error_small(s)) for s in samples)
 
 
 def raise_keyboard_interrupt_of_solver(solution: Solution, options: SolverOptions) -> None:

@@ -52,7 +52,7 @@ def flown_with(solution: go.Solution, rate_of_v: Any) -> Propagation:
     """The solution's control, flown with other dynamics."""
     empty = np.zeros(0)
     return integrate_dynamics(
-        solution.phase(), compile_phase_functions(fall(rate_of_v), "leg", empty, empty, np.ones(1)), rtol=1e-8
+        solution.phase(), compile_phase_functions(fall(rate_of_v), "leg", empty, empty, np.ones(1))
     )
 
 

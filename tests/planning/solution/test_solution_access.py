@@ -158,12 +158,6 @@ def test_a_solution_is_shown_without_its_problem(moved: Solution) -> None:
     assert "Problem(" not in repr(moved) and "cart" in repr(moved)
 
 
-def test_propagation_by_either_control(moved: Solution) -> None:
-    assert moved.propagate("leg", control="polynomial", rtol=1e-9).states[:, -1] == pytest.approx(
-        [1.0, 0.0], abs=1e-7
-    )
-
-
 def one_pass(segments: int, seconds: float) -> RefinementIteration:
     meshes = {"a": Mesh.uniform(segments, 3), "b": Mesh.uniform(2, 5)}
     return RefinementIteration(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))

@@ -205,7 +205,8 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = PureStateConstraints.from_states(s, times, s.phase.x(times), s.phase.applied(times))
+    at = times, s.phase.x(times), s.phase.applied(times)
+    found = PureStateConstraints.from_states(s, s.phase.state_bounds, *at)
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )

@@ -61,7 +61,7 @@ def test_gradients_and_sides_of_paths() -> None:
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
-    pushers = PureStateConstraints.from_states(s, times, x, u)
+    pushers = PureStateConstraints.from_states(s, s.phase.state_bounds, times, x, u)
     np.testing.assert_allclose(pushers.directions[:, 2], found[:, 1])
     np.testing.assert_allclose(pushers.directions[:, 5], -found[:, 1])
     # 2 - 6 + 2 = -2 is at the lower limit, 4 - 3 + 2 = 3 is not.
