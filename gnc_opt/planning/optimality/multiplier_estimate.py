@@ -61,7 +61,7 @@ def _find_jump_candidates(
             continue
         times = fit.x.breaks
         # A shared value belongs to the segment that starts there; the last one to the last segment.
-        x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (fit.x, fit.u))
+        x, u = fit.x(times), fit.u(times)
         places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
         gradients = gradients[:, pure]
         sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
@@ -319,7 +319,7 @@ def _sample_trajectory_variables(
         breaks = phase.x.breaks
         points = breaks[0] + collocation.normalised_point_times * (breaks[-1] - breaks[0])
         x[collocation.boundary_states] = phase.x(breaks)
-        x[collocation.boundary_states[:, -1]] = phase.x(breaks[-1], "left")
+        x[collocation.boundary_states[:, -1]] = phase.x(breaks[-1])
         x[collocation.point_states], x[collocation.point_controls] = phase.x(points), phase.u(points)
         free_times = part.times < transcription.n_variables
         x[part.times[free_times]] = breaks[list(collocation.mesh.arc_breaks)][free_times]

@@ -52,7 +52,7 @@ def integrate_dynamics(phase: PhaseSolution, functions: PhaseFunctions) -> Propa
     """Return the integrated states of a phase with the applied control; see `Solution.propagate`."""
     edges = phase.applied.jump_times
     states, ended = _integrate_between_control_jumps(phase, functions, edges)
-    error = states[:, -1] - phase.x(phase.breaks[-1], "left")
+    error = states[:, -1] - phase.x(phase.breaks[-1])
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
 

@@ -169,7 +169,7 @@ class PhaseSolution:
     @property
     def endpoint_arguments(self) -> list[Array | float]:
         """Initial and final state, initial and final time, integrals, parameters: arguments of end-point functions."""
-        first, last = self.x(self.breaks[0]), self.x(self.breaks[-1], "left")
+        first, last = self.x(self.breaks[[0, -1]]).T
         return [first, last, self.initial_time, self.final_time, self.integrals, self.parameters]
 
     @cached_property

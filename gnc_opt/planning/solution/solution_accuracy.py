@@ -223,7 +223,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
 def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
     phase, box = s.phase, s.phase.final_bounds
-    miss = np.abs(end - phase.x(phase.breaks[-1], "left"))
+    miss = np.abs(end - phase.x(phase.breaks[-1]))
     error = np.max([miss, box.lower - end, end - box.upper], axis=0)
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {phase.name}"

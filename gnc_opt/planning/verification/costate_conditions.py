@@ -309,10 +309,9 @@ def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) ->
     phase = s.phase
     pushes = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
     atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
-    times = phase.breaks[[0, *range(1, phase.mesh.segments), -1]]
-    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.applied))
+    x, u = phase.x(phase.breaks), phase.applied(phase.breaks)
     none = np.zeros_like(x)
     by_parameter, idle = (
-        s.functions.parameter_gradient(times, x, u, none, mu) for mu in (atoms, 0.0 * atoms)
+        s.functions.parameter_gradient(phase.breaks, x, u, none, mu) for mu in (atoms, 0.0 * atoms)
     )
     return np.asarray(by_parameter - idle)

@@ -31,7 +31,7 @@ from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
     """Return the vector control of a group, if H is affine in it and only its length is limited."""
-    layout = s.phase.controls
+    layout, labels = s.phase.controls, s.phase.path_labels
     for vector in s.phase.vector_controls:
         places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
         if not np.array_equal(np.sort(np.concatenate(places)), group):
@@ -40,11 +40,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
         limited = s.functions.functions["paths"].jac_sparsity(0, 2)
         curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
         across = {(int(i), int(j)) for i in places[0] for j in places[1]}
-        rows = {
-            s.phase.path_labels[i]
-            for i, j in zip(limited.row(), limited.get_col(), strict=True)
-            if j in group
-        }
+        rows = {labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group}
         if curved <= across | {(j, i) for i, j in across} and rows == {vector.direction_norm_constraint_name}:
             return vector
     return None

@@ -265,10 +265,11 @@ def _append_epigraph_parameters(twin: Problem, samples: Mapping[str, SampledPhas
     rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
     for name in added:
         missing, single = [-rows[label] for label in twin.constraints[name].labels], none.copy()
-        single[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
+        own = twin.parameters.slice(name)
+        single[own] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
         price = abs(_build_sampled_solution(twin, samples, single).objective - at_zero.objective)
         if price > EQUAL * abs(at_zero.objective):  # otherwise rounding on the kink
-            q += single - none
+            q[own] = single[own]
     return q
 
 

@@ -288,7 +288,7 @@ def _list_boundary_values(
     boxes = [solution.need_problem("verify").get_boundary_constraint_bounds()]
     for s in samples:
         phase, name = s.phase, s.phase.name
-        values += [phase.x(phase.breaks[0]), phase.x(phase.breaks[-1], "left")]
+        values += [phase.x(phase.breaks[0]), phase.x(phase.breaks[-1])]
         gaps = s.lam[:, 0] + ends.initial_state[name], s.lam[:, -1] - ends.final_state[name]
         multipliers += [s.has_duration * gap for gap in gaps]
         boxes += [phase.initial_bounds, phase.final_bounds]

@@ -114,9 +114,8 @@ def _estimate_hamiltonian_decreases(
 
 
 def _locate_largest_hamiltonian_decrease(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    return Worst.find_largest_value(
-        loss, lambda i, j: s.describe_sample(j, what + s.phase.controls.labels[i])
-    )
+    labels = s.phase.controls.labels
+    return Worst.find_largest_value(loss, lambda i, j: s.describe_sample(j, what + labels[i]))
 
 
 def check_minimum_principle(
@@ -172,12 +171,8 @@ def _search_hamiltonian_decreases(
 def integrate_hamiltonian_excess(solution: Solution) -> float:
     """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
     samples = [s for s in solution.samples().values() if s.has_duration and s.phase.controls.size]
-    return float(
-        sum(
-            s.weights @ _search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0]
-            for s in samples
-        )
-    )
+    found = [_search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples]
+    return float(sum(s.weights @ decrease for s, decrease in zip(samples, found, strict=True)))
 
 
 def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
@@ -254,9 +249,8 @@ def check_singular_arcs(
             i = int(np.argmax(lengths))
             total = float(lengths[i])
             j = int(np.flatnonzero(beyond[i])[0])
-            place = (
-                f"from {s.describe_sample(j, s.phase.controls.labels[i])}, {100 * total:.1f} % of the phase"
-            )
+            start = s.describe_sample(j, s.phase.controls.labels[i])
+            place = f"from {start}, {100 * total:.1f} % of the phase"
     result = ConditionResult.PASS if total <= tolerance else ConditionResult.INCONCLUSIVE
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 

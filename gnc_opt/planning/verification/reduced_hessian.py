@@ -107,9 +107,8 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
     meshes = {
         name: _increase_mesh_degrees_for_variations(phase.mesh) for name, phase in solution.phases.items()
     }
-    meshes |= {
-        s.phase.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.phase.name]) for s in samples
-    }
+    for s in samples:
+        meshes[s.phase.name] = _refine_mesh_at_singular_arcs(solution, s, meshes[s.phase.name])
 
     def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = choose_variable_scales(transcription, problem, x)

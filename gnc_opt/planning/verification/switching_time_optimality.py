@@ -87,7 +87,7 @@ def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Ju
         a, b = s.phase, following.phase
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:
             continue
-        before, after = a.applied(a.breaks[-1], "left"), b.applied(b.breaks[0])
+        before, after = a.applied(a.breaks[-1]), b.applied(b.breaks[0])
         held = _mask_constrained_controls(problem, s, a.breaks[-1:]) | _mask_constrained_controls(
             problem, following, b.breaks[:1]
         )

@@ -103,11 +103,10 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     leg = problem.get_phase()
     leg.time(origin, origin + 2.0)
     s = arc(problem, breaks=(origin, origin + 0.5, origin + 2.0))
-    legs = replace(
-        s.phase, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf)
-    )
-    solution = by_hand.solution(problem, legs)
-    samples = [PhaseSamples.from_phase(legs, s.functions)]
+    free = by_hand.interval(-np.inf, np.inf)
+    phase = replace(s.phase, final_time=origin + 2.0 - off, final_time_bounds=free)
+    solution = by_hand.solution(problem, phase)
+    samples = [PhaseSamples.from_phase(phase, s.functions)]
     condition = feasibility.check_boundary_conditions(
         solution, samples, get_endpoint_gradients(solution), given_scales(samples), 1e-9
     )

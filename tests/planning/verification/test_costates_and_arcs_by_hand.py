@@ -740,9 +740,8 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = check_transversality(
-        [s], get_endpoint_gradients(by_hand.solution(drifting(), s.phase)), scales
-    )
+    ends = get_endpoint_gradients(by_hand.solution(drifting(), s.phase))
+    condition = check_transversality([s], ends, scales)
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"

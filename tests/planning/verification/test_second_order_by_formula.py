@@ -227,9 +227,8 @@ def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -
         applied=lambda t: t,
         breaks=np.array([0.0, 1.0, 2.0, 4.0]),
     )
-    s = fake(
-        phase=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0
-    )
+    scales = {"path_scale": np.array([0.5]), "state_scale": np.array([1.0, 3.0])}
+    s = fake(phase=leg, span=4.0, cost_scale=2.0, **scales)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(
         limit_terms.mask_limits_with_multipliers(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]

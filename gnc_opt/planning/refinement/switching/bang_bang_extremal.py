@@ -382,7 +382,7 @@ def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> boo
     (s,) = trajectory.samples().values()
     phase = s.phase
     ends = (
-        (phase.final_bounds, phase.x(phase.final_time, "left"), state_scale),
+        (phase.final_bounds, phase.x(phase.final_time), state_scale),
         (phase.initial_time_bounds, phase.initial_time, s.span),
         (phase.final_time_bounds, phase.final_time, s.span),
         (phase.duration_bounds, phase.duration, s.span),
