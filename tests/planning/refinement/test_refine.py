@@ -379,6 +379,18 @@ def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
     assert go.verify(fast).ok and len(calls) == 1
 
 
+def test_without_a_check_an_extremal_of_another_well_of_the_hamiltonian_is_left() -> None:
+    """x' = u with (u^2 - 1)^2 + 0.1 u over 1 s: every solve from u = 1 ends in the higher well."""
+    model, _x, u = dynamics("drift", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("wells", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + 0.1 * u))
+    lowest = min(np.roots([4.0, 0.0, -4.0, 0.1]).real)
+    found = go.solve(problem.with_guess(u=1.0), check=False).objective
+    assert found == pytest.approx((lowest**2 - 1) ** 2 + 0.1 * lowest, rel=1e-6)
+
+
 def two_wells(start: float, sign: float = 1.0) -> go.Problem:
     """min (e^2 - 1)^2 + 0.3 e + 0.01 int u^2 for x' = u, x(0) = 0, x(1) = e: a minimum on either side."""
     model, _x, u = dynamics("drift", "x", "u", lambda x, u: {x: u})

@@ -97,11 +97,8 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     """hypot(3 * 2, 6 / 2) and hypot(4 t * 3, 8 t / 2); an infinite derivative does not count."""
     bounds = interval([-np.inf, -np.inf], [1e12, 100.0])
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
-    s = fake(
-        phase=fake(name="leg", path_bounds=bounds, vector_controls=()),
-        functions=path_functions(None),
-        times=t,
-    )
+    phase = fake(name="leg", path_bounds=bounds, vector_controls=())
+    s = fake(phase=phase, functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     found = feasibility.compute_path_value_changes(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
@@ -782,13 +779,8 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
         module, "differentiate_final_state_by_controls", lambda s: (times, np.stack([ones, ones * times]))
     )
     hessian = np.einsum("ij,k->ijk", np.diag([4.0, 4.0, 0.0]), np.ones(3))
-    s = fake(
-        phase=fake(name="leg"),
-        control_hessian=hessian,
-        times=times,
-        span=2.0,
-        weights=np.array([1, 2, 1]) / 4,
-    )
+    weights = np.array([1, 2, 1]) / 4
+    s = fake(phase=fake(name="leg"), control_hessian=hessian, times=times, span=2.0, weights=weights)
     own = fake(
         cost=10.0, phases={"leg": fake(control_cost=np.array([1e-5, 1.0, 1e-5]), deviation=0.1 * ones)}
     )
