@@ -61,7 +61,7 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
         "segments": np.repeat(np.arange(segments), PER_SEGMENT),
         "control_scale": np.array([2.0]),
         "u": np.zeros((1, times.size)),
-        "leg": SimpleNamespace(
+        "phase": SimpleNamespace(
             breaks=edges, control_bounds=interval(-1.0, 1.0), state_bounds=interval(-np.inf, np.inf)
         ),
         "x": np.zeros((1, times.size)),
