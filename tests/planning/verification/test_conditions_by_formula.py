@@ -311,7 +311,9 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
     hessian = np.zeros((2, 2, t.size))
     hessian[[0, 1], [0, 1]] = np.outer(curvature, row)
     values = {
-        "phase": fake(name="leg", control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=labels("a", "b")),
+        "phase": fake(
+            name="leg", control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=labels("a", "b")
+        ),
         "times": t,
         "span": 4.0,
         "u": np.full((2, t.size), u),
