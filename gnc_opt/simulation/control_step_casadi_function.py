@@ -17,6 +17,7 @@ import casadi as ca
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_named_signals
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 from gnc_opt.simulation.recorded_extremes_and_integrals import (
     create_empty_extremes_and_integrals,
     merge_extremes_and_integrals,
@@ -40,114 +41,114 @@ def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any)
 
 
 class _ControlStepWithEvents:
+    """Minor steps with event location; L is the event log of the control step, a column next to the state X."""
+
     def __init__(self, step: ControlStep) -> None:
         self.base, self.wiring, self.h, self.P = step, step.wiring, step.h, step.P
         self.state, self.known = step.state, step.known
+        sums = (("applied", step.wiring.plant.controls.size), ("elapsed", 1))
+        self.event_log = ColumnLayout((*sums, *build_event_log_layout(step.wiring.plant.states.size)))
 
     def build_event_step_function(self, act: Any) -> Any:
         """Return ``act``, repeated with event location if it contains an event."""
-        sizes = [act.size1_in(i) for i in range(act.n_in())]
-        x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]
+        inputs = [ca.MX.sym(f"i{i}", act.size1_in(i)) for i in range(act.n_in())]
         after, log, found = act(*inputs)
-        more = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
-        keep = ca.Function("keep", [*inputs, *more], more)
-        careful = ca.Function(
-            "careful", [*inputs, *more], self._propagate_step_with_events(x, w, c[: self.P.shape[0]], y, u, z)
-        )
-        either = ca.Function.if_else("either", careful, keep)
+        results = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
+        without_event = ca.Function("without_event", [*inputs, *results], results)
+        with_event = ca.Function("with_event", [*inputs, *results], self._propagate_control_step(*inputs))
+        either = ca.Function.if_else("either", with_event, without_event)
         return ca.Function("act", inputs, either(found, *inputs, after, log))
 
-    def _propagate_step_with_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
+    def _propagate_control_step(self, X: Any, w: Any, C: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
-        wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        state = self.state.split_vector_by_name(column)
-        begin = ca.Function("begin", [column, known, self.P], [
-            self.state.stack_vector_by_name(
-                self.base.update_disturbance_memories(state, self.known.split_vector_by_name(known))
-            )
-        ])  # fmt: skip
-        now, notes = begin(x, w, P), ca.MX.zeros(self.event_log_layout.size)
-        for i in range(wiring.minor_steps):
-            minor, skip = self._build_minor_step_functions(i)
-            either = ca.Function.if_else("minor", skip, minor)
-            now, notes = either(self.state.split_vector_by_name(now)["stop"] > 0.5, now, notes, w, P, u)
-        return list(self._build_control_step_log_function()(x, now, notes, w, y, u, z))
+        P, log = C[: self.P.shape[0]], ca.MX.zeros(self.event_log.size)
+        state = self._build_disturbance_update_function()(X, w, P)
+        for i in range(self.wiring.minor_steps):
+            minor_step, ended = self._build_minor_step_functions(i)
+            either = ca.Function.if_else("minor", ended, minor_step)
+            state, log = either(self.state.split_vector_by_name(state)["stop"] > 0.5, state, log, w, P, u)
+        return list(self._build_control_step_log_function()(X, state, log, w, y, u, z))
 
-    @property
-    def event_log_layout(self) -> ColumnLayout:
-        """Layout of the event notes of a control step, stored next to the state."""
-        sums = (("applied", self.wiring.plant.controls.size), ("elapsed", 1))
-        return ColumnLayout((*sums, *build_event_log_layout(self.wiring.plant.states.size)))
+    def _build_disturbance_update_function(self) -> Any:
+        """Return ``(X, w, P) -> X`` with the memories of the disturbances for this control step."""
+        X, w = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        state, known = self.state.split_vector_by_name(X), self.known.split_vector_by_name(w)
+        updated = self.state.stack_vector_by_name(self.base.update_disturbance_memories(state, known))
+        return ca.Function("begin", [X, w, self.P], [updated])
 
     def _build_minor_step_functions(self, i: int) -> tuple[Any, Any]:
-        """Return ``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and its inactive version."""
-        wiring, h = self.wiring, self.h
-        column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        u = ca.SX.sym("u", wiring.controller.commands.size)
-        state, w = self.state.split_vector_by_name(column), self.known.split_vector_by_name(known)
-        new, tick = dict(state), self.base.build_minor_step_time_and_state(i, w, state)
-        waves, saturated = self.base.evaluate_actuator_blocks(tick, u, new, w, i)
-        x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
+        """Return ``(X, L, w, P, u) -> (X, L)`` of a minor step with events, and its version after the end of a run."""
+        X, w = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        context = [X, w, self.P, ca.SX.sym("u", self.wiring.controller.commands.size)]
+        state, known = self.state.split_vector_by_name(X), self.known.split_vector_by_name(w)
+        new, tick = dict(state), self.base.build_minor_step_time_and_state(i, known, state)
+        waves, saturated = self.base.evaluate_actuator_blocks(tick, context[-1], new, known, i)
+        propagation = self._build_propagation_function(tick.t, waves, new, context)
+        locate, layout = build_event_location_function(self.wiring.events, propagation, self.h)
+        record = self._build_record_function(layout, waves, saturated, new, context)
+
+        X, L, w, P, u = inputs = [
+            ca.MX.sym(f"i{k}", e.shape[0])
+            for k, e in enumerate([X, ca.SX(self.event_log.size, 1), *context[1:]])
+        ]
+        state, log = self.state.split_vector_by_name(X), self.event_log.split_vector_by_name(L)
+        first = {k: (state | log)[k] for k, _ in layout.parts if k in state | log}
+        first |= {"x": state["plant"], "s": ca.MX(0)}
+        t = self.known.split_vector_by_name(w)["t"] + i * self.h
+        p = [P[self.wiring.layout.slice(f"plant.{name}")] for name in self.wiring.plant.parameters.names]
+        last = locate(layout.stack_vector_by_name(first), t, ca.vertcat(*p), X, w, P, u)
+        minor_step = ca.Function("minor", inputs, list(record(last, L, X, w, P, u)))
+        return minor_step, ca.Function("ended", inputs, [X, L])
+
+    def _build_propagation_function(
+        self, t: Any, waves: list[ActuatorWaveform], state: dict[str, Any], context: list[Any]
+    ) -> Any:
+        """Return ``(x, armed, begin, end, *context)`` -> plant state at the end, and what the detector has found."""
+        x, armed = ca.SX.sym("x", self.wiring.plant.states.size), ca.SX.sym("armed", state["armed"].shape[0])
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-        watch, extremes = (
-            self.base.create_event_detector({"armed": armed}, begin),
-            self.base.create_quantity_extreme_tracker(waves),
-        )
-        propagated = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
-        seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
-        seen += [watch.lost, watch.lost_inside, extremes.record]
-        context = [column, known, self.P, u]
-        propagation = ca.Function("propagation", [x, armed, begin, end, *context], [propagated, *seen])
-        way, places = build_event_location_function(wiring.events, propagation, h)
-        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_log_layout.size)
-        v, n = places.split_vector_by_name(q), self.event_log_layout.split_vector_by_name(noted)
-        new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
+        detector = self.base.create_event_detector({"armed": armed}, begin)
+        extremes = self.base.create_quantity_extreme_tracker(waves)
+        final = self.base.integrate_plant(t, x, waves, state, (begin, end), (detector, extremes))
+        found = [detector.armed, detector.y, detector.slope, detector.found, detector.first, detector.last]
+        found += [detector.lost, detector.lost_inside, extremes.record]
+        return ca.Function("propagation", [x, armed, begin, end, *context], [final, *found])
+
+    def _build_record_function(
+        self,
+        layout: ColumnLayout,
+        waves: list[ActuatorWaveform],
+        saturated: Any,
+        state: dict[str, Any],
+        context: list[Any],
+    ) -> Any:
+        """Return ``(q, L, *context) -> (X, L)``: the values q at the end of a minor step, of a layout, in X and L."""
+        q, L = ca.SX.sym("q", layout.size), ca.SX.sym("L", self.event_log.size)
+        last, log = layout.split_vector_by_name(q), self.event_log.split_vector_by_name(L)
+        state = state | {"plant": last["x"]} | {name: last[name] for name, _ in layout.parts if name in state}
         applied = ca.vertcat(*[wave.mean for wave in waves])
-        self.base.accumulate_control_effort(new, applied, saturated, v["s"])
-        n |= {"applied": n["applied"] + v["s"] * applied, "elapsed": n["elapsed"] + v["s"]}
-        n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
-        book = ca.Function(
-            "book",
-            [q, noted, *context],
-            [self.state.stack_vector_by_name(new), self.event_log_layout.stack_vector_by_name(n)],
-        )
-        inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
-        column_, notes_, w_, P_, u_ = inputs
-        a, b = self.state.split_vector_by_name(column_), self.event_log_layout.split_vector_by_name(notes_)
-        first = {
-            **{k: a[k] for k, _ in places.parts if k in a},
-            **{k: b[k] for k, _ in places.parts if k in b},
-        }
-        first |= {"x": a["plant"], "s": ca.MX(0)}
-        p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
-        rest = (column_, w_, P_, u_)
-        after = way(
-            places.stack_vector_by_name(first), self.known.split_vector_by_name(w_)["t"] + i * h, p, *rest
-        )
-        minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
-        return minor, ca.Function("skip", inputs, [column_, notes_])
+        self.base.accumulate_control_effort(state, applied, saturated, last["s"])
+        log |= {"applied": log["applied"] + last["s"] * applied, "elapsed": log["elapsed"] + last["s"]}
+        log |= {name: last[name] for name in log if name in last}
+        stacked = [self.state.stack_vector_by_name(state), self.event_log.stack_vector_by_name(log)]
+        return ca.Function("record", [q, L, *context], stacked)
 
     def _build_control_step_log_function(self) -> Any:
-        """Return ``(X before, X, notes, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
-        before, column, known = (
-            ca.SX.sym(name, size)
-            for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
-        )
-        noted, y = ca.SX.sym("notes", self.event_log_layout.size), ca.SX.sym("y", self.base.measured.size)
-        u = ca.SX.sym("u", self.wiring.controller.commands.size)
-        z = ca.SX.sym("z", self.wiring.controller.memory.size)
-        new, n = self.state.split_vector_by_name(column), self.event_log_layout.split_vector_by_name(noted)
-        logged = {
-            "measured": y,
-            "commands": u,
-            "applied": ca.if_else(n["elapsed"] > 0, n["applied"] / n["elapsed"], 0.0),
+        """Return ``(X before, X, L, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
+        controller = self.wiring.controller
+        sizes = {
+            "before": self.state.size,
+            "X": self.state.size,
+            "L": self.event_log.size,
+            "w": self.known.size,
         }
-        logged |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
-        state, t = self.state.split_vector_by_name(before), self.known.split_vector_by_name(known)["t"]
-        log = self.base.complete_control_step(new, state, t, logged, z)
-        return ca.Function(
-            "closing", [before, column, noted, known, y, u, z], [self.state.stack_vector_by_name(new), log]
-        )
+        sizes |= {"y": self.base.measured.size, "u": controller.commands.size, "z": controller.memory.size}
+        before, X, L, w, y, u, z = inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
+        state, events = self.state.split_vector_by_name(X), self.event_log.split_vector_by_name(L)
+        applied = ca.if_else(events["elapsed"] > 0, events["applied"] / events["elapsed"], 0.0)
+        logged = {**events, "measured": y, "commands": u, "applied": applied}
+        first, t = self.state.split_vector_by_name(before), self.known.split_vector_by_name(w)["t"]
+        log = self.base.complete_control_step(state, first, t, logged, z)
+        return ca.Function("closing", inputs, [self.state.stack_vector_by_name(state), log])
 
 
 @dataclass(frozen=True)
