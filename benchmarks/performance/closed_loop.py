@@ -137,8 +137,8 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     begin = time.process_time()
     serial = tracking.simulate_campaign("TVLQR", runs, seed, executor="serial")
     built = time.process_time() - begin
-    assert serial.flight is not None
-    flight = serial.flight
+    assert serial.compiled_loop is not None
+    flight = serial.compiled_loop
     begin = time.process_time()
     flight.final_values(serial.parameters, [[seed, i] for i in range(runs)])
     spent = time.process_time() - begin
@@ -175,8 +175,8 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
 def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Callable[[], float]]:
     """Return how many runs a function flies whenever it is called, and that function, which tells the time it took."""
     few = tracking.simulate_campaign(name, min(runs, 20), seed, executor="serial")
-    assert few.flight is not None
-    flight, P = few.flight.with_machine_code(1000), np.tile(few.parameters, 5)
+    assert few.compiled_loop is not None
+    flight, P = few.compiled_loop.with_machine_code(1000), np.tile(few.parameters, 5)
 
     def fly() -> float:
         begin = time.process_time()

@@ -53,26 +53,26 @@ class LinearStep:
 class Linearization:
     """Loop without events, linearised along its nominal run; ``hold``: constant filter covariance."""
 
-    flight: CompiledLoop
+    loop: CompiledLoop
     wiring: LoopWiring
     columns: Sequence[int]
     hold: bool = False
 
     def __post_init__(self) -> None:
-        if self.flight.replanner is not None:
+        if self.loop.replanner is not None:
             raise ArgumentError(
                 "the loop re-plans in flight, which has no derivative: remove the replanner, or use monte_carlo()."
             )
-        if self.flight.events.size:
+        if self.loop.events.size:
             raise ArgumentError(
-                f"the loop has events ('{self.flight.events.names[0]}'), whose times vary, but a linearisation needs "
-                "fixed times: remove the events, or use monte_carlo()."
+                f"the loop has events ('{self.loop.events.names[0]}'), whose times vary, but a "
+                "linearisation needs fixed times: remove the events, or use monte_carlo()."
             )
 
     @cached_property
     def linearised_state_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of X."""
-        parts = self.flight.kernel.state.parts
+        parts = self.loop.kernel.state.parts
         held = {"memory": len(self.filter_covariance_indices)}
         return ColumnLayout(
             tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
@@ -81,7 +81,7 @@ class Linearization:
     @property
     def linearised_output_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of the log."""
-        sizes = dict(self.flight.kernel.log.parts)
+        sizes = dict(self.loop.kernel.log.parts)
         return ColumnLayout(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
@@ -97,7 +97,7 @@ class Linearization:
             for i, link in enumerate(links)
         }
         found, at = {}, 0
-        for name, size in self.flight.kernel.known.parts:
+        for name, size in self.loop.kernel.known.parts:
             if name in blocks:
                 if size:
                     found[blocks[name]] = slice(at, at + size)
@@ -106,7 +106,7 @@ class Linearization:
 
     def differentiate_initial_loop_state(self) -> tuple[Array, Array, Array]:
         """Return the nominal initial X (n_X,), and its derivatives in the initial noise and the parameters."""
-        kernel, P = self.flight.kernel, self.flight.nominal
+        kernel, P = self.loop.kernel, self.loop.nominal
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
@@ -117,10 +117,10 @@ class Linearization:
 
     def sum_normalised_innovations_squared(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
-        memory, kernel = self.wiring.controller.memory, self.flight.kernel
+        memory, kernel = self.wiring.controller.memory, self.loop.kernel
         if COVARIANCE not in memory:
             return 0.0
-        C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
+        C, X = kernel.constants(self.loop.nominal), self.differentiate_initial_loop_state()[0]
         for row in self._iterate_noise_free_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split_vector_by_name(X)["memory"]
@@ -128,8 +128,8 @@ class Linearization:
 
     def linearize_control_steps(self, X: Array) -> Iterator[LinearStep]:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
-        constants = self.flight.kernel.constants
-        C = np.asarray(constants(self.flight.nominal).full()[:, 0])
+        constants = self.loop.kernel.constants
+        C = np.asarray(constants(self.loop.nominal).full()[:, 0])
         by_P = self._jacobian_of_run_constants
         n = self.linearised_state_layout.size
         for k, row in enumerate(self._iterate_noise_free_step_inputs()):
@@ -168,28 +168,28 @@ class Linearization:
     @cached_property
     def _nonlinearised_state_indices(self) -> list[int]:
         retained = set(self.linearised_state_indices)
-        return [i for i in range(self.flight.kernel.state.size) if i not in retained]
+        return [i for i in range(self.loop.kernel.state.size) if i not in retained]
 
     @property
     def _state_indices_by_variable(self) -> dict[str, Array]:
-        kernel_state = self.flight.kernel.state
+        kernel_state = self.loop.kernel.state
         return kernel_state.split_vector_by_name(np.arange(kernel_state.size))
 
     @cached_property
     def noise_input_indices(self) -> list[int]:
         """Indices of the random numbers in w."""
-        return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
+        return list(range(1 + self.loop.schedule.shape[0], self.loop.kernel.known.size))
 
     @cached_property
     def _control_step_jacobian_function(self) -> Any:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
-        step = self.flight.kernel.step
+        step = self.loop.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
         places, rest = self.linearised_state_indices, self._nonlinearised_state_indices
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
-        logged = self.flight.kernel.log.split_vector_by_name(log)
+        logged = self.loop.kernel.log.split_vector_by_name(log)
         y = ca.vertcat(*[logged[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
         jacobians = [
@@ -201,14 +201,15 @@ class Linearization:
 
     @cached_property
     def _jacobian_of_run_constants(self) -> Array:
-        constants = self.flight.kernel.constants
+        constants = self.loop.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
-        return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
+        return np.asarray(jacobian(self.loop.nominal).full())[:, self.columns]
 
     def _iterate_noise_free_step_inputs(self) -> Iterator[Array]:
-        for _, rows in self.flight.iterate_known_values(
-            0, np.empty((min(self.flight.n_steps, MAX_STEPS_PER_CALL), self.flight.kernel.known.size))
+        for _, rows in self.loop.iterate_known_values(
+            0,
+            np.empty((min(self.loop.n_steps, MAX_STEPS_PER_CALL), self.loop.kernel.known.size)),
         ):
             rows[:, self.noise_input_indices] = 0.0
             yield from rows
@@ -217,8 +218,8 @@ class Linearization:
         bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
         if bad.size:
             sizes = (*self.linearised_state_layout.parts[1:], *self.linearised_output_layout.parts)
-            names = [*self.flight.states.labels, *(name for name, size in sizes for _ in range(size))]
+            names = [*self.loop.states.labels, *(name for name, size in sizes for _ in range(size))]
             raise ArgumentError(
-                f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at {self.flight.times[k]:g} s "
-                "of the nominal run: choose another nominal run, or use monte_carlo()."
+                f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at "
+                f"{self.loop.times[k]:g} s of the nominal run: choose another nominal run, or use monte_carlo()."
             )

@@ -213,10 +213,10 @@ class _SobolDesign:
 
     def simulate_sobol_sample_matrices(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
-        flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
+        loop, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (
             np.stack(
-                [draw_dispersed_parameters(dispersions, flight.layout, flight.nominal, s, i) for i in rows],
+                [draw_dispersed_parameters(dispersions, loop.layout, loop.nominal, s, i) for i in rows],
                 axis=1,
             )
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
@@ -227,7 +227,7 @@ class _SobolDesign:
             self._simulate_performance_measures(b, numbers[1]),
         ]
         for name in dispersions:
-            mixed, place = a.copy(), flight.layout.slice(name)
+            mixed, place = a.copy(), loop.layout.slice(name)
             mixed[place] = b[place]
             found.append(self._simulate_performance_measures(mixed, numbers[0]))
         if self.scenario.noise_size:

@@ -81,7 +81,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
         Covariances by source (n_sources, n_times, n, n) of "error", "command" and "applied".
     layouts : mapping
         Names, sizes and units: error, command, applied.
-    flight : Flight
+    compiled_loop : CompiledLoop
     dispersions : mapping of str to Dispersion
 
     Examples
@@ -98,7 +98,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
     mean: Array
     parts: Mapping[str, Array]
     layouts: Mapping[str, Layout] = field(repr=False)
-    flight: CompiledLoop = field(repr=False)
+    compiled_loop: CompiledLoop = field(repr=False)
     dispersions: Dispersions = field(repr=False)
 
     def __str__(self) -> str:
@@ -176,9 +176,9 @@ def linear_covariance(scenario: Scenario, *, every: int = 1) -> LinearCovariance
     """
     require_type(scenario, Scenario, "the argument of linear_covariance()", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
-    flight, dispersions = scenario.compiled_loop, scenario.dispersions
-    columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
-    linearization = Linearization(flight, scenario.loop.wiring, columns)
+    loop, dispersions = scenario.compiled_loop, scenario.dispersions
+    columns = [int(i) for name in dispersions for i in range(loop.layout.size)[loop.layout.slice(name)]]
+    linearization = Linearization(loop, scenario.loop.wiring, columns)
     if linearization.sum_normalised_innovations_squared() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
     return _CovariancePropagation(linearization, dispersions, every).propagate_covariance()
@@ -186,9 +186,9 @@ def linear_covariance(scenario: Scenario, *, every: int = 1) -> LinearCovariance
 
 class _CovariancePropagation:
     def __init__(self, linearization: Linearization, dispersions: Dispersions, every: int) -> None:
-        self.linearization, self.flight = linearization, linearization.flight
+        self.linearization, self.compiled_loop = linearization, linearization.loop
         self.every, self.dispersions = every, dispersions
-        layout, nominal = self.flight.layout, self.flight.nominal
+        layout, nominal = self.compiled_loop.layout, self.compiled_loop.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
         numbers = linearization.noise_slices_by_block
@@ -222,8 +222,8 @@ class _CovariancePropagation:
         places = self.linearization.linearised_state_layout.split_vector_by_name(
             np.arange(scatter.state_dimension)
         )["plant"]
-        x = self.flight.kernel.state.split_vector_by_name(X)["plant"]
-        to_errors = np.zeros((self.flight.error_layout.size, scatter.state_dimension))
+        x = self.compiled_loop.kernel.state.split_vector_by_name(X)["plant"]
+        to_errors = np.zeros((self.compiled_loop.error_layout.size, scatter.state_dimension))
         to_errors[:, places] = self._state_error_jacobian(x).full()
         errors = scatter.transform_state_deviations_linearly(to_errors)
         self.values["state"].append(x)
@@ -240,21 +240,25 @@ class _CovariancePropagation:
 
     @cached_property
     def _state_error_jacobian(self) -> Any:
-        x, x_ref = (ca.SX.sym(n, self.flight.states.size) for n in ("x", "x_ref"))
-        jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
+        x, x_ref = (ca.SX.sym(n, self.compiled_loop.states.size) for n in ("x", "x_ref"))
+        jacobian = ca.jacobian(self.compiled_loop.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
 
     def _build_linear_covariance(self) -> LinearCovariance:
-        flight = self.flight
-        kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
+        loop = self.compiled_loop
+        kept = np.append(np.arange(0, loop.n_steps, self.every), loop.n_steps)
         parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances_by_source.items()}
         return LinearCovariance(
-            times=flight.times[kept],
+            times=loop.times[kept],
             sources=self.sources.names,
             nominal=np.stack(self.values["state"], axis=1),
             mean=np.stack(self.mean, axis=1),
             parts=parts,
-            layouts={"error": flight.error_layout, "command": flight.commands, "applied": flight.controls},
-            flight=flight,
+            layouts={
+                "error": loop.error_layout,
+                "command": loop.commands,
+                "applied": loop.controls,
+            },
+            compiled_loop=loop,
             dispersions=self.dispersions,
         )

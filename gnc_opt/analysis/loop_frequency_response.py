@@ -239,16 +239,16 @@ def loop_response(
                 "remove it, or use its period as dt of the loop."
             )
     opened = replace(loop, actuators=(_CommandPerturbation(_PROBE), *loop.actuators))
-    flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
-    times = read_float_array([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(
-        -1
-    )
-    begin, end = flight.times[[0, -1]]
+    compiled_loop = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
+    times = read_float_array(
+        [compiled_loop.times[0]] if at is None else at, "the times of loop_response()"
+    ).reshape(-1)
+    begin, end = compiled_loop.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
         raise ArgumentError(f"the run lasts from {begin:g} s to {end:g} s: give times of it, before its end.")
-    wanted = np.unique(np.searchsorted(flight.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
-    columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
-    linearization = Linearization(flight, opened.wiring, columns)
+    wanted = np.unique(np.searchsorted(compiled_loop.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
+    columns = list(range(compiled_loop.layout.size)[compiled_loop.layout.slice(f"{_PROBE}.d")])
+    linearization = Linearization(compiled_loop, opened.wiring, columns)
     rows = linearization.linearised_output_layout.split_vector_by_name(
         np.arange(linearization.linearised_output_layout.size)
     )["commands"]
@@ -261,4 +261,4 @@ def loop_response(
             break
         X = step.X_next
     a, b, c = (np.stack(parts) for parts in zip(*found, strict=True))
-    return LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)
+    return LoopResponse(compiled_loop.times[wanted], a, b, c, opened.dt, compiled_loop.commands)

@@ -193,7 +193,7 @@ class NominalController:
     """Nominal controller inside another law, evaluated on the symbols of the outer law."""
 
     def __init__(self, controller: Controller, pair: PlantPair) -> None:
-        controller = controller.unbridged or controller  # the outer law handles dropouts
+        controller = controller.without_dropout_handling or controller  # the outer law handles dropouts
         if controller.states.labels != pair.model.states.labels:
             raise DesignError(
                 f"the nominal controller '{controller.name}' is for other states than model '{pair.model.name}'."

@@ -59,13 +59,13 @@ class Controller:
         Memory entries that become nonzero at the first step at which the law cannot meet its guarantees.
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; it is constant after the second.
-    unbridged : Controller, optional
+    without_dropout_handling : Controller, optional
         The same law without dropout handling, see `with_dropout_handling`.
     estimated : Layout, optional
         States that an estimator computes for the law, see `output_feedback`; ``states`` are then the measurements.
-    flight : FlightLaw, optional
+    codegen_law : CodegenLaw, optional
         Law for C export, if the law solves an optimisation problem at every step.
-    easy : casadi.Function, optional
+    unconstrained_law : casadi.Function, optional
         ``(t, x, r, z) -> (u, z_next, valid)`` of elementary operations; equals ``step`` where valid is 1.
 
     Examples
@@ -87,10 +87,10 @@ class Controller:
     dt: float | None = None
     alarms: tuple[str, ...] = ()
     span: tuple[float, float] | None = None
-    unbridged: Controller | None = field(default=None, repr=False)
+    without_dropout_handling: Controller | None = field(default=None, repr=False)
     estimated: Layout | None = None
-    flight: CodegenLaw | None = field(default=None, repr=False)
-    easy: Any = field(default=None, repr=False)
+    codegen_law: CodegenLaw | None = field(default=None, repr=False)
+    unconstrained_law: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         read_display_name(self.name, "controller")
@@ -169,7 +169,7 @@ class Controller:
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
 
 
-def law_function(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:
+def law_function(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *valid: Any) -> Any:
     """Return the CasADi function of a control law from its symbols and expressions (SX or MX column vectors).
 
     Parameters
@@ -178,8 +178,8 @@ def law_function(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: A
         Symbols: time (1, 1), measured state (n_states, 1), row of the schedule (n_signals, 1), memory (n_memory, 1).
     u, z_next : casadi SX or MX
         Command (n_commands, 1) and next memory (n_memory, 1), expressions of the symbols.
-    enough : casadi SX or MX, optional
-        Expression of the symbols, see ``easy`` of `Controller`.
+    valid : casadi SX or MX, optional
+        Expression of the symbols, see ``unconstrained_law`` of `Controller`.
 
     Examples
     --------
@@ -189,8 +189,8 @@ def law_function(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: A
     >>> print(step(0.0, [1.0, 0.5], [], [])[0])
     -2
     """
-    names = [*_OUTPUTS, *("enough" for _ in enough)]
-    return ca.Function("law", [t, x, r, z], [u, z_next, *enough], _INPUTS, names)
+    names = [*_OUTPUTS, *("valid" for _ in valid)]
+    return ca.Function("law", [t, x, r, z], [u, z_next, *valid], _INPUTS, names)
 
 
 def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:

@@ -81,7 +81,7 @@ def with_dropout_handling(
             f"'{controller.name}' includes an estimator, which handles dropouts: apply it to the controller inside."
         )
     hold = read_integer(hold, "the number of lost samples to bridge", 0)
-    inner = controller.unbridged or controller
+    inner = controller.without_dropout_handling or controller
     given = (
         None if safe is None else read_vector(safe, inner.commands.size, "the safe command", ArgumentError)
     )
@@ -93,12 +93,13 @@ def with_dropout_handling(
         Variable(INVALID, 1),
     )
     step, start = _build_law_for_measurement_dropouts(inner, inner.step, hold, given)
-    easy = (
-        None if inner.easy is None else _build_law_for_measurement_dropouts(inner, inner.easy, hold, given)[0]
-    )
-    flight = inner.flight
-    if flight is not None:
-        flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
+    unconstrained_law = inner.unconstrained_law
+    if unconstrained_law is not None:
+        unconstrained_law, _ = _build_law_for_measurement_dropouts(inner, unconstrained_law, hold, given)
+    codegen_law = inner.codegen_law
+    if codegen_law is not None:
+        exported = with_dropout_handling(codegen_law.controller, hold=hold, safe=safe)
+        codegen_law = replace(codegen_law, controller=exported)
     words = "the feedforward" if given is None else f"the command {given}"
     remark = f"missing samples replaced by the last good one; then {words} and the alarm '{INVALID}'"
     report = inner.explanation
@@ -111,16 +112,16 @@ def with_dropout_handling(
         explanation=DesignReport(
             report.title, (*report.facts, ReportEntry("dropouts", str(hold), remark=remark))
         ),
-        unbridged=inner,
-        flight=flight,
-        easy=easy,
+        without_dropout_handling=inner,
+        codegen_law=codegen_law,
+        unconstrained_law=unconstrained_law,
     )
 
 
 def _build_law_for_measurement_dropouts(
     inner: Controller, bare: Any, hold: int, safe: Any
 ) -> tuple[Any, Any]:
-    """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
+    """Return law and initial memory of the controller with dropout handling, for the full or the unconstrained law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
     t, x, r = kind.sym("t"), kind.sym("x", states), kind.sym("r", inner.signals.size)
@@ -133,7 +134,7 @@ def _build_law_for_measurement_dropouts(
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
-    u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
+    u, after, *valid = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_is_vector_finite(u), _is_vector_finite(after)))
     spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
@@ -142,7 +143,7 @@ def _build_law_for_measurement_dropouts(
         ca.if_else(good, 0, ca.if_else(lost < _NEVER / 2, _NEVER, lost + 1)),
         ca.if_else(works, invalid, 1),
     )
-    step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *enough)
+    step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *valid)
     begun = ca.if_else(good, ca.vertcat(first, x), 0)
     return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 

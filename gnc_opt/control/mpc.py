@@ -164,7 +164,7 @@ def design_mpc(
     plain = Controller(
         name=name,
         step=law_.build_mpc_law(),
-        easy=law_.build_mpc_law(easy=True),
+        unconstrained_law=law_.build_mpc_law(unconstrained=True),
         start=law_.build_initial_command_function(),
         states=model.states,
         commands=model.controls,
@@ -186,7 +186,7 @@ def design_mpc(
     )
     code = _build_horizon_qp_code(windows, rows, model)
     return with_dropout_handling(
-        replace(plain, flight=build_mpc_law_for_c_export(code, deviation, plain, reference))
+        replace(plain, codegen_law=build_mpc_law_for_c_export(code, deviation, plain, reference))
     )
 
 
@@ -256,15 +256,15 @@ class _HorizonSchedule:
 
 @dataclass(frozen=True, eq=False)
 class _MpcLaw:
-    """MPC law in MX; the ``easy`` form without solver is valid where the regulator satisfies all limits."""
+    """MPC law in MX; the unconstrained law is valid where the regulator satisfies all limits."""
 
     deviation: ErrorDynamics
     schedule: _HorizonSchedule
     rows: StepLimits
     signals: Layout
 
-    def build_mpc_law(self, *, easy: bool = False) -> Any:
-        """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
+    def build_mpc_law(self, *, unconstrained: bool = False) -> Any:
+        """Return the law ``(t, x, r, z) -> (u, z_next)``; the unconstrained law has a validity flag as third output."""
         t, x, r, z = self._create_mpc_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
@@ -272,7 +272,7 @@ class _MpcLaw:
             "inside", ca.SX, lambda horizon, *a: [horizon.is_unconstrained_regulator_feasible(*a)]
         )(*known)
         omega, solved = ca.MX.zeros(m), inside
-        if not easy:
+        if not unconstrained:
             keep = self._build_horizon_qp_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
             either = ca.Function.if_else(
                 "either", keep, self._build_horizon_qp_function("solve", ca.MX, self._solve_horizon_qp)
@@ -281,7 +281,7 @@ class _MpcLaw:
         _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
         u = clip_command_and_rate(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
-        return law_function(t, x, r, z, u, after, *([solved] if easy else []))
+        return law_function(t, x, r, z, u, after, *([solved] if unconstrained else []))
 
     def build_initial_command_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""

@@ -182,11 +182,13 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
     _require_distinct_memory_variables(controller, estimator)
     step, start = _combine_controller_with_estimator(controller, controller.step, estimator, fed, sent)
-    easy = (
-        controller.easy
-        and _combine_controller_with_estimator(controller, controller.easy, estimator, fed, sent)[0]
+    unconstrained_law = (
+        controller.unconstrained_law
+        and _combine_controller_with_estimator(
+            controller, controller.unconstrained_law, estimator, fed, sent
+        )[0]
     )
-    report, flight = controller.explanation, controller.flight
+    report, codegen_law = controller.explanation, controller.codegen_law
     return replace(
         controller,
         name=f"{controller.name}_{estimator.name}",
@@ -204,18 +206,18 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"{report.title}, with the {estimator.explanation.title}",
             (*report.facts, *estimator.explanation.facts),
         ),
-        unbridged=None,
-        flight=None
-        if flight is None
-        else replace(flight, controller=output_feedback(flight.controller, estimator)),
-        easy=easy,
+        without_dropout_handling=None,
+        codegen_law=None
+        if codegen_law is None
+        else replace(codegen_law, controller=output_feedback(codegen_law.controller, estimator)),
+        unconstrained_law=unconstrained_law,
     )
 
 
 def _combine_controller_with_estimator(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
-    """Return law and initial memory of controller and estimator, for the controller's full or easy law."""
+    """Return law and initial memory of controller and estimator, for the controller's full or unconstrained law."""
     scalar = bare.is_a("SXFunction") and controller.start.is_a("SXFunction")
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size
@@ -223,8 +225,8 @@ def _combine_controller_with_estimator(
     r, z = kind.sym("r", controller.signals.size), kind.sym("z", size + controller.memory.size)
     own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
     x, after = estimator.update(t, y, own)
-    u, inner_after, *enough = bare(t, x[fed], r, inner)
-    step = law_function(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
+    u, inner_after, *valid = bare(t, x[fed], r, inner)
+    step = law_function(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *valid)
     x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
     return step, initial_state_function(t, y, r, begun)

@@ -223,7 +223,7 @@ def design_neighbouring_optimal(
         regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)"
     )
     plan = SwitchingPlan.from_bang_bang_solution(solution)
-    inner = regulator.unbridged or regulator
+    inner = regulator.without_dropout_handling or regulator
     step = inner.step_length(dt)
     _require_regulator_matches_plan_layout(inner, plan)
     weight = read_weight_matrix(Q, plan.reference.model.errors, "the weight Q")

@@ -292,12 +292,12 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     "final" shows limited final errors before the end of each run. The errors are those relative to the reference;
     "states" are those without reference, while at least half of the runs are active.
     """
-    flight = campaign.flight
-    assert flight is not None  # the runs were simulated with it
-    times = flight.times[select_quantity_sample_steps(flight.n_steps)]
+    compiled_loop = campaign.compiled_loop
+    assert compiled_loop is not None  # the runs were simulated with it
+    times = compiled_loop.times[select_quantity_sample_steps(compiled_loop.n_steps)]
     ends = np.array([run.times[-1] for run in runs])
     times = times[np.mean(ends[:, None] >= times - SAME_TIME, axis=0) >= 0.5]
-    states = {*flight.states.names, *(f"angle({name})" for name in flight.states.names)}
+    states = {*compiled_loop.states.names, *(f"angle({name})" for name in compiled_loop.states.names)}
     if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
         yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
     for kind, names in group_variables_by_figure(nominal).items():
@@ -382,10 +382,10 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
 
 def _sample_final_error_history(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
     """Return a final error over time: the norm or the angle relative to the target; times count from the end."""
-    assert campaign.flight is not None
+    assert campaign.compiled_loop is not None
     subject, target = name.removeprefix("angle(").rstrip(")"), campaign.target[:, None]
     if subject == name:
-        errors = campaign.flight.errors(run.states, np.repeat(target, run.times.size, axis=1)).full()
+        errors = campaign.compiled_loop.errors(run.states, np.repeat(target, run.times.size, axis=1)).full()
         values = np.linalg.norm(errors[campaign.layouts["error"].slice(name)], axis=0)
     else:
         rows = campaign.layouts["state"].slice(subject)
@@ -404,11 +404,11 @@ def group_variables_by_figure(run: Run) -> dict[str, list[str]]:
 def _find_saturation_limits(campaign: Campaign) -> dict[str, list[float]]:
     """Return the finite limits of saturations by component of the control, medians over the runs."""
     found: dict[str, list[float]] = {}
-    flight = campaign.flight
-    assert flight is not None  # runs are drawn
-    for name, on in flight.saturations.items():
-        if set(on) <= set(flight.controls.names):
-            labels = [label for control in on for label in flight.controls[control].labels]
+    compiled_loop = campaign.compiled_loop
+    assert compiled_loop is not None  # runs are drawn
+    for name, on in compiled_loop.saturations.items():
+        if set(on) <= set(compiled_loop.controls.names):
+            labels = [label for control in on for label in compiled_loop.controls[control].labels]
             ends = [np.median(campaign.parameter(f"{name}.{end}"), axis=1) for end in ("lower", "upper")]
             found |= {
                 label: [e for e in pair if np.isfinite(e)] for label, *pair in zip(labels, *ends, strict=True)

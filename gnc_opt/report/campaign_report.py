@@ -368,7 +368,8 @@ def _build_parameter_dispersion_tables(campaign: Campaign) -> str:
     """Return nominal and drawn values with the distribution of dispersed parameters, and the constant parameters."""
     layout, rows, fixed = campaign.layouts["parameter"], [], []
     laws = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
-    nominal = np.full(layout.size, np.nan) if campaign.flight is None else campaign.flight.nominal
+    loop = campaign.compiled_loop
+    nominal = np.full(layout.size, np.nan) if loop is None else loop.nominal
     for v in layout.variables:
         values = campaign.parameters[layout.slice(v.name)]
         if np.all(values == values[:, :1]):  # a constant may be infinite
@@ -425,9 +426,9 @@ def _draw_campaign_figures(
     if campaign.sample_times.size:
         for name in campaign.layouts["quantity"].names:
             yield f"envelope_{name}", figures.plot_envelope(campaign, name)
-    if campaign.flight is not None:
-        nominal = campaign.flight.run(campaign.flight.nominal, campaign.seed)
-        if campaign.flight.replanner is None:
+    if campaign.compiled_loop is not None:
+        nominal = campaign.compiled_loop.run(campaign.compiled_loop.nominal, campaign.seed)
+        if campaign.compiled_loop.replanner is None:
             some = [rerun(int(i)) for i in campaign.indices[:runs]]
             for kind, figure in figures.plot_run_envelopes(campaign, some, nominal):
                 yield f"envelope-{kind}", figure

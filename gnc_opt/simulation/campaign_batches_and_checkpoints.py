@@ -75,7 +75,7 @@ def _load_run_batch_file(path: Path) -> Campaign:
 def _require_checkpoint_of_same_campaign(part: Campaign, mission: CampaignTask, path: Path) -> None:
     first = int(part.indices[0])
     why = ""
-    if part.fingerprint != mission.flight.fingerprint:
+    if part.fingerprint != mission.compiled_loop.fingerprint:
         why = "another loop or span"
     elif part.seed != mission.seed:
         why = f"the seed {part.seed}, not {mission.seed}"
@@ -101,7 +101,7 @@ def _keep_first_runs_of_batch(part: Campaign, count: int) -> RunBatch:
 
 
 def merge_run_batches(
-    flight: CompiledLoop, batches: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
+    loop: CompiledLoop, batches: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
@@ -114,48 +114,48 @@ def merge_run_batches(
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
-    states = concatenate_run_batch_arrays("states", flight.states.size)
+    states = concatenate_run_batch_arrays("states", loop.states.size)
     outcomes: list[Outcome] = []
     for part in batches:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
         outcomes += lost if part.ending is None else part.ending.outcomes
-    errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
+    errors = np.full((loop.error_layout.size, states.shape[1]), np.nan)
     if states.shape[1]:
-        errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
+        errors = np.asarray(loop.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
     sizes = {
-        **dict.fromkeys(("effort", "energy"), flight.controls.size),
-        **dict.fromkeys(("saturation_time", "variation"), flight.commands.size),
-        **dict.fromkeys(("event_counts", "event_times"), flight.events.size),
-        "memory": flight.memory.size,
+        **dict.fromkeys(("effort", "energy"), loop.controls.size),
+        **dict.fromkeys(("saturation_time", "variation"), loop.commands.size),
+        **dict.fromkeys(("event_counts", "event_times"), loop.events.size),
+        "memory": loop.memory.size,
         "replans": 2,
     }
     arrays: dict[str, Any] = {name: concatenate_run_batch_arrays(name, size) for name, size in sizes.items()}
-    if flight.quantities.size:
-        count, at = flight.quantities.size, select_quantity_sample_steps(flight.n_steps)
+    if loop.quantities.size:
+        count, at = loop.quantities.size, select_quantity_sample_steps(loop.n_steps)
         samples = concatenate_run_batch_arrays("samples", count * at.size).reshape(count, at.size, -1)
         arrays |= {
             "sums": concatenate_run_batch_arrays("sums", 3 * count),
             "samples": samples,
-            "sample_times": flight.times[at],
+            "sample_times": loop.times[at],
         }
     drawn = [p.parameters for p in batches if p.parameters is not None]
     return Campaign(
         seed=seed,
         asked=asked,
         indices=np.array([i for part in batches for i in part.batch], dtype=np.int64),
-        parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
+        parameters=np.hstack([np.empty((loop.layout.size, 0)), *drawn]),
         states=states,
         errors=errors,
         target=goal,
         integration_error=concatenate_run_batch_arrays("integration_error", 1)[0],
         outcomes=tuple(outcomes),
-        span=(float(flight.times[0]), float(flight.times[-1])),
+        span=(float(loop.times[0]), float(loop.times[-1])),
         limits={},
         measured={},
         interrupted=False,
-        layouts=flight.layouts,
-        flight=flight,
-        fingerprint=flight.fingerprint,
+        layouts=loop.layouts,
+        compiled_loop=loop,
+        fingerprint=loop.fingerprint,
         **arrays,
     )
 
@@ -167,15 +167,15 @@ Batch: TypeAlias = range
 class CampaignTask:
     """Compiled loop and dispersions of a campaign."""
 
-    flight: CompiledLoop
+    compiled_loop: CompiledLoop
     dispersions: Dispersions
     seed: int
 
     def draw_dispersed_parameters(self, batch: Batch) -> Array:
         """Return the parameter columns P (n_parameters, n) of runs."""
-        flight = self.flight
+        loop = self.compiled_loop
         columns = [
-            draw_dispersed_parameters(self.dispersions, flight.layout, flight.nominal, self.seed, index)
+            draw_dispersed_parameters(self.dispersions, loop.layout, loop.nominal, self.seed, index)
             for index in batch
         ]
         return np.stack(columns, axis=1)
@@ -184,7 +184,11 @@ class CampaignTask:
         """Simulate a batch of runs; runs that raise an exception are returned separately."""
         try:
             P = self.draw_dispersed_parameters(batch)
-            return [RunBatch(batch, P, self.flight.final_values(P, [[self.seed, index] for index in batch]))]
+            return [
+                RunBatch(
+                    batch, P, self.compiled_loop.final_values(P, [[self.seed, index] for index in batch])
+                )
+            ]
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
                 return [RunBatch(batch, None, None, format_exception(error))]

@@ -67,7 +67,7 @@ class Campaign(StrictAttributes, PrintableResult):
         Whether Ctrl-C ended the campaign early.
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
-    flight : CompiledLoop or None
+    compiled_loop : CompiledLoop or None
         Compiled loop; not stored in files.
     fingerprint : str
         Fingerprint of the compiled loop.
@@ -102,7 +102,7 @@ class Campaign(StrictAttributes, PrintableResult):
     measured: Mapping[str, Array]
     interrupted: bool
     layouts: Mapping[str, Layout] = field(repr=False)
-    flight: CompiledLoop | None = field(default=None, repr=False)
+    compiled_loop: CompiledLoop | None = field(default=None, repr=False)
     fingerprint: str = field(default="", repr=False)
     memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
@@ -245,16 +245,16 @@ class Campaign(StrictAttributes, PrintableResult):
         ArgumentError
             The index is out of range, or the run cannot be simulated.
         GncOptError
-            The campaign was loaded from a file: use ``Campaign.load(path, flight=loop.compile(...))``.
+            The campaign was loaded from a file: use ``Campaign.load(path, compiled_loop=loop.compile(...))``.
         """
         places = np.flatnonzero(self.indices == index)
         if not places.size:
             raise ArgumentError(f"the campaign has no run {index}: its {len(self)} runs count from 0.")
-        if self.flight is None:
+        if self.compiled_loop is None:
             raise GncOptError(
-                "the campaign has no compiled loop: load it with flight=loop.compile(x0, tf=...)."
+                "the campaign has no compiled loop: load it with compiled_loop=loop.compile(x0, tf=...)."
             )
-        return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
+        return self.compiled_loop.run(self.parameters[:, places[0]], [self.seed, int(index)])
 
     # --- tables -------------------------------------------------------------------------------------------
 
@@ -301,23 +301,23 @@ class Campaign(StrictAttributes, PrintableResult):
         return CAMPAIGN_FILES.write_result_file(path, self)
 
     @classmethod
-    def load(cls, path: str | Path, flight: CompiledLoop | None = None) -> Campaign:
+    def load(cls, path: str | Path, compiled_loop: CompiledLoop | None = None) -> Campaign:
         """Return a campaign from a file written by `save`.
 
-        ``flight`` is ``loop.compile(x0, tf=...)`` of the same loop; `rerun` needs it.
+        ``compiled_loop`` is ``loop.compile(x0, tf=...)`` of the same loop; `rerun` needs it.
 
         Raises
         ------
         FileNotFoundError
             The file does not exist.
         GncOptError
-            The file is damaged or contains no campaign, or ``flight`` is of another loop.
+            The file is damaged or contains no campaign, or ``compiled_loop`` is of another loop.
         """
         campaign, _ = CAMPAIGN_FILES.read_result_file(path)
         assert isinstance(campaign, Campaign)
-        if flight is not None:
-            _require_reproducible_campaign(campaign, flight, path)
-        return replace(campaign, flight=flight)
+        if compiled_loop is not None:
+            _require_reproducible_campaign(campaign, compiled_loop, path)
+        return replace(campaign, compiled_loop=compiled_loop)
 
     def _require_finished_runs(self) -> int:
         if not self.outcomes:
@@ -325,16 +325,16 @@ class Campaign(StrictAttributes, PrintableResult):
         return len(self.outcomes)
 
 
-def _require_reproducible_campaign(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
+def _require_reproducible_campaign(campaign: Campaign, compiled_loop: CompiledLoop, path: str | Path) -> None:
     """Raise an error unless the compiled loop reproduces the runs of the campaign bitwise."""
-    span = (float(flight.times[0]), float(flight.times[-1]))
-    if flight.layout.labels != campaign.layouts["parameter"].labels:
-        why = "another loop than the given flight: its parameters have other names"
+    span = (float(compiled_loop.times[0]), float(compiled_loop.times[-1]))
+    if compiled_loop.layout.labels != campaign.layouts["parameter"].labels:
+        why = "another loop than the given loop: its parameters have other names"
     elif span != tuple(campaign.span):
         begin, end = campaign.span
-        why = f"from {begin:g} s to {end:g} s, the given flight from {span[0]:g} s to {span[1]:g} s"
-    elif campaign.fingerprint and flight.fingerprint != campaign.fingerprint:
-        why = "another loop than the given flight: plant, controller, blocks, accuracy or schedule differ"
+        why = f"from {begin:g} s to {end:g} s, the given loop from {span[0]:g} s to {span[1]:g} s"
+    elif campaign.fingerprint and compiled_loop.fingerprint != campaign.fingerprint:
+        why = "another loop than the given loop: plant, controller, blocks, accuracy or schedule differ"
     else:
         return
     raise GncOptError(f"the campaign of '{path}' flew {why}.")
@@ -344,7 +344,9 @@ CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
     8,
-    DataclassSerializer((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
+    DataclassSerializer(
+        (Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("compiled_loop",)}
+    ),
     alike=tuple(
         range(2, 8)
     ),  # 2 without fingerprint, 3 memory, 4 events, 5 re-plans, 6 quantities, 7 scenario

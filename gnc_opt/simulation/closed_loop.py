@@ -247,8 +247,8 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._compute_control_step_times(t0, tf)
         rows = self._sample_reference_schedule(times)
-        flight = self._choose_integration_substeps(nominal, times, rows)
-        return replace(flight, replanner=self.replanner)
+        compiled_loop = self._choose_integration_substeps(nominal, times, rows)
+        return replace(compiled_loop, replanner=self.replanner)
 
     def _choose_integration_substeps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
@@ -293,8 +293,8 @@ class ClosedLoop:
         every : int
             Log every n-th control step, and the last one. Integrals such as the effort include all steps.
         """
-        flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
-        return flight.run(flight.nominal, seed, every=every)
+        compiled_loop = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
+        return compiled_loop.run(compiled_loop.nominal, seed, every=every)
 
     def kernel(self, substeps: int) -> LoopKernel:
         """Return the symbolic control step with ``substeps`` integration steps per minor step."""

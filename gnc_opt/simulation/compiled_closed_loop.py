@@ -59,8 +59,8 @@ class CompiledLoop:
 
     Examples
     --------
-    >>> flight = loop.compile([1.0, 0.0], tf=8.0)
-    >>> print(flight.n_steps, flight.layout.names)
+    >>> compiled_loop = loop.compile([1.0, 0.0], tf=8.0)
+    >>> print(compiled_loop.n_steps, compiled_loop.layout.names)
     80 ('initial.q', 'initial.v', 'gauge.sigma')
     """
 
@@ -153,8 +153,8 @@ class CompiledLoop:
         )
         X, C = self._build_initial_closed_loop_states(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
-        for flight, end in zip((self, quick), ends, strict=True):
-            flight._simulate_run_segment(X, rows, C, end)
+        for compiled_loop, end in zip((self, quick), ends, strict=True):
+            compiled_loop._simulate_run_segment(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final_values(self, P: Array, seeds: Sequence[Any]) -> FinalValues:

@@ -161,14 +161,15 @@ class LoopKernel:
         ``P -> C``: parameters and the values derived from them.
     start, step, measure : casadi.Function
         ``(w, P) -> X``; ``(X, w, C) -> (X_next, log)``; ``(X, w, C) -> y``, the controller's input.
-    easy : casadi.Function or None
-        ``(X, w, C) -> (X_next, valid)`` with the easy law of a controller; the full law is needed if valid is not 1.
+    unconstrained_step : casadi.Function or None
+        ``(X, w, C) -> (X_next, valid)`` with the unconstrained law of a controller; ``step`` is needed where valid is
+        not 1.
     """
 
     constants: Any
     start: Any
     step: Any
-    easy: Any
+    unconstrained_step: Any
     measure: Any
     state: ColumnLayout
     known: ColumnLayout
@@ -194,16 +195,16 @@ def build_closed_loop_step_functions(wiring: LoopWiring, substeps: int) -> LoopK
 class _KernelBuilder(ControlStep):
     def assemble_closed_loop_step_functions(self) -> LoopKernel:
         constants, act = self._build_actuator_and_plant_step_functions()
-        step, easy = (
+        step, unconstrained_step = (
             self._build_closed_loop_step_function(constants, act),
-            self._build_simplified_law_loop_step(constants, act),
+            self._build_unconstrained_loop_step(constants, act),
         )
         measure = self._build_measurement_function(constants)
         return LoopKernel(
             constants,
             self._build_initial_state_function(),
             step,
-            easy,
+            unconstrained_step,
             measure,
             self.state,
             self.known,
@@ -250,25 +251,25 @@ class _KernelBuilder(ControlStep):
             else step
         )
 
-    def _build_simplified_law_loop_step(self, constants: Any, act: Any) -> Any:
-        easy = self.wiring.controller.easy
-        if easy is None:
+    def _build_unconstrained_loop_step(self, constants: Any, act: Any) -> Any:
+        law = self.wiring.controller.unconstrained_law
+        if law is None:
             return None
-        inputs, after, _, (enough,) = self._build_closed_loop_step_expressions(easy, constants, act)
-        step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
+        inputs, after, _, (valid,) = self._build_closed_loop_step_expressions(law, constants, act)
+        step = ca.Function("unconstrained_step", inputs, [after, valid], ["X", "w", "C"], ["X_next", "valid"])
         return freeze_state_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
     def _build_closed_loop_step_expressions(
         self, law: Any, constants: Any, act: Any
     ) -> tuple[list[Any], Any, Any, list[Any]]:
-        """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
+        """Return the symbols X, w, C, and X_next, log and the validity of the unconstrained law for one step."""
         kind = ca.MX if self.wiring.events else _get_casadi_symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
         y, sensed = self._build_sensor_sampling_function()(x, w, c[: self.P.shape[0]])
         known = self.known.split_vector_by_name(w)
-        u, memory, *enough = law(known["t"], y, known["r"], self.state.split_vector_by_name(x)["memory"])
-        return inputs, *act(sensed, w, c, y, u, memory), enough
+        u, memory, *valid = law(known["t"], y, known["r"], self.state.split_vector_by_name(x)["memory"])
+        return inputs, *act(sensed, w, c, y, u, memory), valid
 
     def _build_measurement_function(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)

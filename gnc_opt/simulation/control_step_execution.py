@@ -41,7 +41,7 @@ class StepExecutor:
             self._simulate_steps_in_casadi(X, rows, C, final)
             return
         n_done = self._machine_code_step_function(X, rows, C, final)
-        while n_done < len(rows):  # a step for which the easy law is not valid
+        while n_done < len(rows):  # a step for which the unconstrained law is not valid
             self._simulate_steps_in_casadi(final.copy(), rows[n_done : n_done + 1], C, final)
             n_done += 1
             n_done += self._machine_code_step_function(final.copy(), rows[n_done:], C, final)
@@ -102,7 +102,7 @@ class StepExecutor:
 
     @property
     def compiled_step_function(self) -> Any:
-        return self.kernel.easy or self.step_function_without_log
+        return self.kernel.unconstrained_step or self.step_function_without_log
 
     @cached_property
     def step_function_without_log(self) -> Any:

@@ -313,7 +313,7 @@ class ControlStep:
 def select_monitored_measurements(wiring: LoopWiring, measured: Any) -> tuple[Any, ...]:
     """Return the measurement, or nothing if the controller or its estimator handles lost samples."""
     controller = wiring.controller
-    return (measured,) if controller.unbridged is None and controller.estimated is None else ()
+    return (measured,) if controller.without_dropout_handling is None and controller.estimated is None else ()
 
 
 def list_nonfinite_quantity_labels(wiring: LoopWiring) -> list[str]:

@@ -48,8 +48,8 @@ class FinalValues:
 
     Examples
     --------
-    >>> flight = loop.compile([1.0, 0.0], tf=8.0)
-    >>> ending = flight.final_values(np.tile(flight.nominal[:, None], 3), [1, 2, 3])
+    >>> compiled_loop = loop.compile([1.0, 0.0], tf=8.0)
+    >>> ending = compiled_loop.final_values(np.tile(compiled_loop.nominal[:, None], 3), [1, 2, 3])
     >>> print(ending.states.shape, np.abs(ending.errors).max() < 0.01)
     (2, 3) True
     """

@@ -52,16 +52,16 @@ class SuccessCriteria:
     limits: Mapping[str, float] = field(default_factory=dict)
     measures: Mapping[str, MeasureFunction] = field(default_factory=dict)
 
-    def read_target_states(self, flight: CompiledLoop) -> Array:
+    def read_target_states(self, loop: CompiledLoop) -> Array:
         """Return the target final states (n_states,); NaN without a target."""
-        goal = np.full(flight.states.size, np.nan)
-        if flight.reference is not None:
-            for name in flight.followed.names:
-                if name in flight.states:
-                    goal[flight.states.slice(name)] = flight.reference[flight.followed.slice(name), -1]
+        goal = np.full(loop.states.size, np.nan)
+        if loop.reference is not None:
+            for name in loop.followed.names:
+                if name in loop.states:
+                    goal[loop.states.slice(name)] = loop.reference[loop.followed.slice(name), -1]
         for name, value in self.target.items():
-            place = flight.states.slice(name)
-            numbers = read_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+            place = loop.states.slice(name)
+            numbers = read_vector(value, loop.states[name].size, f"the target of '{name}'", ArgumentError)
             if not np.all(np.isfinite(numbers)):
                 raise ArgumentError(
                     f"the target of '{name}' is {numbers}: give finite numbers, or leave it out."
@@ -190,13 +190,13 @@ def monte_carlo(
     read_integer(n, "the number of runs of monte_carlo()", 1)
     read_integer(seed, "the seed of monte_carlo()", 0)
     dispersions = {} if dispersions is None else dispersions
-    flight = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
-    check_dispersions(dispersions, flight.layout, flight.nominal)
-    flight = flight.with_machine_code(n)
+    compiled_loop = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
+    check_dispersions(dispersions, compiled_loop.layout, compiled_loop.nominal)
+    compiled_loop = compiled_loop.with_machine_code(n)
     criteria = read_success_criteria(target, measures, limits)
-    mission = CampaignTask(flight, dict(dispersions), int(seed))
+    mission = CampaignTask(compiled_loop, dict(dispersions), int(seed))
     empty = merge_run_batches(
-        flight, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(flight)
+        compiled_loop, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(compiled_loop)
     )
     criteria.check_performance_limits(empty)
     folder = None if checkpoint is None else Path(checkpoint)
@@ -211,7 +211,9 @@ def monte_carlo(
                 if folder is not None and part.ending is not None:
                     store_run_batch_file(
                         folder,
-                        merge_run_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target),
+                        merge_run_batches(
+                            compiled_loop, [part], seed=mission.seed, asked=n, goal=empty.target
+                        ),
                     )
             show(*_count_runs_and_failures(get_run_batch_results(batch)))
 
@@ -225,8 +227,8 @@ def monte_carlo(
     )
     _require_any_completed_run(batches)
     batches = _regenerate_dispersed_parameters(batches, mission)
-    campaign = merge_run_batches(flight, batches, seed=mission.seed, asked=n, goal=empty.target)
-    scenario = describe_campaign_scenario(loop, flight.layout, dispersions)
+    campaign = merge_run_batches(compiled_loop, batches, seed=mission.seed, asked=n, goal=empty.target)
+    scenario = describe_campaign_scenario(loop, compiled_loop.layout, dispersions)
     return criteria.apply_success_criteria(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 
@@ -274,6 +276,6 @@ def _regenerate_dispersed_parameters(batches: Sequence[RunBatch], mission: Campa
             try:
                 P = mission.draw_dispersed_parameters(part.batch)
             except Exception:  # the draw itself is what failed
-                P = np.full((mission.flight.layout.size, len(part.batch)), np.nan)
+                P = np.full((mission.compiled_loop.layout.size, len(part.batch)), np.nan)
         found.append(replace(part, parameters=P))
     return found

@@ -87,27 +87,27 @@ class StepSelection:
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
     def select_integration_steps(
-        self, flight_with: Callable[[int], CompiledLoop], modes: Array, duration: float
+        self, compile_with_substeps: Callable[[int], CompiledLoop], modes: Array, duration: float
     ) -> CompiledLoop:
         """Return the compiled loop with the number of steps that its accuracy requires over a duration (s)."""
         if self.substeps is not None:
-            return flight_with(self.substeps)
+            return compile_with_substeps(self.substeps)
         substeps = count_steps_for_stable_modes(modes, self.step)
         if substeps > MAX_SUBSTEPS:
             raise self._build_stiff_plant_error(
                 f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s"
             )
         substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
-        flight = best = flight_with(substeps)
+        compiled_loop = best = compile_with_substeps(substeps)
         least, stalled = np.inf, 0
         while True:
-            ending = flight.final_values(flight.nominal[:, None], [0])
+            ending = compiled_loop.final_values(compiled_loop.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
             if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
-                return flight
+                return compiled_loop
             stalled = stalled + 1 if error > 0.5 * least else 0
             if error < least:
-                best, least = flight, error
+                best, least = compiled_loop, error
             if stalled > 1 or (outcome.status is RunStatus.DIVERGED and substeps >= MAX_SUBSTEPS):
                 return best
             if substeps >= MAX_SUBSTEPS:
@@ -117,7 +117,7 @@ class StepSelection:
                     f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
-            flight = flight_with(substeps)
+            compiled_loop = compile_with_substeps(substeps)
 
     def _build_stiff_plant_error(self, why: str) -> ArgumentError:
         return ArgumentError(

@@ -82,7 +82,7 @@ def estimator(*, bias: bool = True) -> Estimator:
 
 def within_limits(controller: Controller) -> Controller:
     """Return a law of wheel or body torques as one of wheel torques that keeps the wheels' limits."""
-    inner, craft = controller.unbridged or controller, wheel_model()
+    inner, craft = controller.without_dropout_handling or controller, wheel_model()
     t, x, r, z = (
         ca.SX.sym(name, n)
         for name, n in (("t", 1), ("x", 11), ("r", inner.signals.size), ("z", inner.memory.size))
@@ -97,8 +97,8 @@ def within_limits(controller: Controller) -> Controller:
             inner,
             step=law_function(t, x, r, z, torques, after),
             commands=craft.controls,
-            unbridged=None,
-            flight=None,
+            without_dropout_handling=None,
+            codegen_law=None,
             dt=DT,
         )
     )

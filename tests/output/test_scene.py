@@ -250,7 +250,7 @@ def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
 
 def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     runs = [campaign.rerun(i) for i in range(20)]
-    nominal = campaign.flight.run(campaign.flight.nominal, 3)
+    nominal = campaign.compiled_loop.run(campaign.compiled_loop.nominal, 3)
     few = {name: getattr(runs[4], name)[:, :11] for name in ("states", "errors", "reference")}
     few["applied"] = runs[4].applied[:, :10]
     runs[4] = replace(runs[4], times=np.append(runs[4].times[:10], 0.97), **few)  # ended by an event
@@ -306,7 +306,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     )
     study = {"x0": [1, 0, 0], "tf": 2.0, "seed": 1, "dispersions": {"initial.q": Normal(0.02)}}
     campaign = go.monte_carlo(loop, 5, **study, limits={"q": 0.5, "v": 0.1}, executor="serial")
-    nominal = campaign.flight.run(campaign.flight.nominal, 1)
+    nominal = campaign.compiled_loop.run(campaign.compiled_loop.nominal, 1)
     figures = dict(plot_run_envelopes(campaign, [campaign.rerun(0)], nominal))
     lines = {line.get_label(): line for line in figures["errors"].axes[0].lines}
     assert list(figures) == ["final", "errors", "states", "controls"] and len(figures["states"].axes) == 1
@@ -380,7 +380,7 @@ def test_saturation_is_the_share_of_time_beyond_a_limit(tmp_path):
     found = [float(text.removesuffix(" %")) for text in (median, most, largest)]
     assert found == pytest.approx(100 * (np.quantile(start, [0.5, 0.95, 1.0]) - 0.5) / 4.0, abs=0.5)
     assert int(run) == int(np.argmax(start))
-    flown, nominal = runs.rerun(0), runs.flight.run(runs.flight.nominal, 1)
+    flown, nominal = runs.rerun(0), runs.compiled_loop.run(runs.compiled_loop.nominal, 1)
     (ax,) = plot_run_controls(runs, flown, nominal, "run 0").axes
     lines = {line.get_label(): line.get_ydata() for line in ax.lines}
     for label, values in (

@@ -232,6 +232,6 @@ def test_main_writes_statistics_and_figures(
 
 def test_plain_loop_of_the_benchmark_ends_where_the_campaign_does(tracking):
     campaign = tracking.simulate_campaign("TVLQR", 1, SEED, executor="serial")
-    given = plain_inputs(campaign, campaign.flight, 0)
-    end = plain_run(campaign.flight, *given, campaign.flight.schedule, rtol=1e-9, atol=1e-10)
+    given = plain_inputs(campaign, campaign.compiled_loop, 0)
+    end = plain_run(campaign.compiled_loop, *given, campaign.compiled_loop.schedule, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(end, campaign.states[:, 0], rtol=0, atol=1e-6)

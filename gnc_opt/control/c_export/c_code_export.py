@@ -161,7 +161,7 @@ def _read_c_identifier_prefix(name: str) -> str:
 
 def select_codegen_controller(controller: Controller) -> CodegenLaw:
     """Return the controller for C export: the same, or its `CodegenLaw` if it solves a problem at every step."""
-    return CodegenLaw(controller) if controller.flight is None else controller.flight
+    return CodegenLaw(controller) if controller.codegen_law is None else controller.codegen_law
 
 
 def _expand_law_to_scalar_function(function: Any, form: CodegenLaw) -> Any:

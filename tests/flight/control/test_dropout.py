@@ -90,9 +90,9 @@ def test_long_dropouts_end_in_the_safe_command_and_an_alarm_and_the_law_comes_ba
     assert np.array_equal(found[13:16, 0], np.zeros(3))  # the feedforward of rest
     assert np.array_equal(invalid(controller, memories), np.arange(30) >= 13)
     assert np.all(np.isfinite(memories))
-    own = slice(0, controller.unbridged.memory.size)
+    own = slice(0, controller.without_dropout_handling.memory.size)
     assert np.array_equal(memories[12, own], memories[15, own])  # the law's own memory stands still
-    again, _ = controller.unbridged(16 * DT, GOOD[16], memories[15, own])
+    again, _ = controller.without_dropout_handling(16 * DT, GOOD[16], memories[15, own])
     assert np.array_equal(found[16], again) and abs(again[0]) > 1e-3
 
 
@@ -101,7 +101,7 @@ def test_a_law_begins_with_the_first_good_sample(controller):
     found, memories = fly(controller, late)
     assert np.array_equal(found[:2, 0], np.zeros(2))
     assert np.all(invalid(controller, memories) == 1)
-    u, z = controller.unbridged(2 * DT, GOOD[0])
+    u, z = controller.without_dropout_handling(2 * DT, GOOD[0])
     assert np.array_equal(found[2], u)
     assert np.array_equal(memories[2, : z.size], z)
 

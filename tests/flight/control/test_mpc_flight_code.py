@@ -50,7 +50,7 @@ def flown_in_c(controller, folder, times, states, build=quickly_compiled):
     lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, states, strict=True)]
     found = subprocess.run([str(program)], input="\n".join(lines), check=True, capture_output=True, text=True)
     numbers = np.array([[float(v) for v in line.split()] for line in found.stdout.splitlines()])
-    m, memory = controller.commands.size, controller.flight.controller.memory
+    m, memory = controller.commands.size, controller.codegen_law.controller.memory
     alarms = [m + memory.slice(alarm).start for alarm in controller.alarms]
     return numbers[:, :m], numbers[:, alarms]
 

@@ -115,13 +115,14 @@ def test_a_damaged_file_is_named_and_can_be_deleted(tmp_path, content):
 def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
     path = whole.save(tmp_path / "campaign")
     flight = loop().compile([1.0, 0.0], tf=3.0)
-    assert np.array_equal(Campaign.load(path, flight=flight).rerun(7).states[:, -1], whole.states[:, 7])
-    with pytest.raises(GncOptError, match="from 0 s to 3 s, the given flight from 0 s to 5 s"):
-        Campaign.load(path, flight=loop().compile([1.0, 0.0], tf=5.0))
+    again = Campaign.load(path, compiled_loop=flight).rerun(7)
+    assert np.array_equal(again.states[:, -1], whole.states[:, 7])
+    with pytest.raises(GncOptError, match="from 0 s to 3 s, the given loop from 0 s to 5 s"):
+        Campaign.load(path, compiled_loop=loop().compile([1.0, 0.0], tf=5.0))
     plant = double_integrator()
     other = ClosedLoop(plant, feedback(plant, [[1.0, 1.7]]), loop().actuators, loop().sensors, dt=0.1)
-    with pytest.raises(GncOptError, match="another loop than the given flight: plant, controller"):
-        Campaign.load(path, flight=other.compile([1.0, 0.0], tf=3.0))
+    with pytest.raises(GncOptError, match="another loop than the given loop: plant, controller"):
+        Campaign.load(path, compiled_loop=other.compile([1.0, 0.0], tf=3.0))
 
 
 KILLED = """

@@ -77,16 +77,16 @@ def test_every_field_of_a_run_comes_back(run, tmp_path):
 
 def test_every_field_of_a_campaign_comes_back(campaign, tmp_path):
     loaded = Campaign.load(campaign.save(tmp_path / "campaign"))
-    assert_same(loaded, campaign, left_out=("flight",))
-    assert loaded.flight is None
+    assert_same(loaded, campaign, left_out=("compiled_loop",))
+    assert loaded.compiled_loop is None
 
 
-def test_a_flight_of_another_loop_is_refused(campaign, tmp_path):
+def test_a_compiled_loop_of_another_loop_is_refused(campaign, tmp_path):
     path = campaign.save(tmp_path / "campaign")
     cart = double_integrator(2)
     other = ClosedLoop(cart, feedback(cart, np.hstack([np.eye(2), np.eye(2)])), dt=0.1)
     with pytest.raises(GncOptError, match="flew another loop"):
-        Campaign.load(path, flight=other.compile([1.0, 0.5, 0.0, 0.0], tf=1.0))
+        Campaign.load(path, compiled_loop=other.compile([1.0, 0.5, 0.0, 0.0], tf=1.0))
 
 
 def test_a_run_is_no_campaign(run, tmp_path):
@@ -100,12 +100,12 @@ def write(path, header, arrays):
 
 
 def test_a_campaign_of_version_2_is_read(campaign, tmp_path):
-    """It is the third without the fingerprint of the flight."""
+    """It is the third without the fingerprint of the loop."""
     with np.load(campaign.save(tmp_path / "third")) as entries:
         arrays = {name: entries[name] for name in entries.files if name != "header"}
         header = json.loads(str(entries["header"]))
     del header["campaign"]["fields"]["fingerprint"]
     header["version"] = 2
     loaded = Campaign.load(write(tmp_path / "second.npz", header, arrays))
-    assert_same(loaded, campaign, left_out=("flight", "fingerprint"))
+    assert_same(loaded, campaign, left_out=("compiled_loop", "fingerprint"))
     assert loaded.fingerprint == ""

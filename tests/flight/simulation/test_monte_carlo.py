@@ -121,7 +121,7 @@ def test_rerun_ends_with_the_same_bits(serial, index):
 
 
 def test_a_simulation_with_the_seed_of_a_run_is_that_run(serial):
-    loop = loop_of_a_cart(substeps=serial.flight.substeps)
+    loop = loop_of_a_cart(substeps=serial.compiled_loop.substeps)
     names = serial.layouts["parameter"].names
     changes = {name: serial.parameter(name)[:, 5] for name in names if not name.startswith("initial.")}
     x0 = {name: serial.parameter(f"initial.{name}")[:, 5] for name in ("q", "v")}
@@ -413,7 +413,7 @@ def one_component():
 
 def test_files_keep_every_bit(serial, tmp_path):
     path = serial.save(tmp_path / "campaign")
-    loaded = Campaign.load(path, flight=loop_of_a_cart().compile(CASE["x0"], tf=CASE["tf"]))
+    loaded = Campaign.load(path, compiled_loop=loop_of_a_cart().compile(CASE["x0"], tf=CASE["tf"]))
     assert_same(loaded, serial)
     assert np.array_equal(loaded.rerun(3).states[:, -1], serial.states[:, 3])
     with pytest.raises(GncOptError, match="has no compiled loop"):

@@ -161,7 +161,9 @@ def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
 ) -> None:
     plant, law = predictive()
     flight = (
-        ClosedLoop(plant, replace(law, easy=None)).compile([1.0, 0.0], t0=0.0, tf=2.0).with_machine_code(10)
+        ClosedLoop(plant, replace(law, unconstrained_law=None))
+        .compile([1.0, 0.0], t0=0.0, tf=2.0)
+        .with_machine_code(10)
     )
     assert flight.libraries == ("", "") and list(cache.iterdir()) == []
     assert capfd.readouterr() == ("", "")
@@ -211,10 +213,10 @@ def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch)
 def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
     mission: dict[str, Any] = {"x0": [1.0, 0.0], "tf": 5.0, "seed": 3, "executor": "serial"}
     quick = monte_carlo(loop(), 4, **mission)
-    assert quick.flight is not None and all(quick.flight.libraries)
+    assert quick.compiled_loop is not None and all(quick.compiled_loop.libraries)
     monkeypatch.setattr(flight_module, "MIN_EVALUATIONS_TO_COMPILE", 10_000)
     plain = monte_carlo(loop(), 4, **mission)
-    assert plain.flight is not None and not any(plain.flight.libraries)
+    assert plain.compiled_loop is not None and not any(plain.compiled_loop.libraries)
     assert quick.states.tobytes() == plain.states.tobytes()
 
 
