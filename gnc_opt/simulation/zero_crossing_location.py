@@ -12,8 +12,8 @@ zero again within that time (Zeno), or if a reset leaves its row at zero and the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -25,6 +25,12 @@ from gnc_opt.simulation.zero_crossing_events import EVENTS_PER_STEP_MAX, Events
 
 RATE_SHARE_OF_STEP = 1e-4
 """Interval of rate differences, as a share of the minor step."""
+
+MAX_NARROWINGS = 12
+"""Most searches before a candidate for an earlier crossing."""
+
+MAX_ROOT_STEPS = 60
+"""Most steps of the root search: bisection alone reaches rounding."""
 
 
 class EventDetector:
@@ -83,161 +89,182 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def build_event_location_function(events: Events, flow: Any, h: float) -> tuple[Any, ColumnLayout]:
-    """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
-    way = _ZeroCrossingPropagation(events, flow, h)
-    return way.build_minor_step_with_events(), way.places
+def build_event_location_function(events: Events, propagation: Any, h: float) -> tuple[Any, ColumnLayout]:
+    """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q.
+
+    ``propagation`` maps ``(x, armed, begin, end, *context)`` to the values of `_Interval`.
+    """
+    location = _EventLocation(events, propagation, h)
+    return location.build_minor_step_with_events(), location.layout
 
 
-class _ZeroCrossingPropagation:
-    def __init__(self, events: Events, flow: Any, h: float) -> None:
-        self.events, self.flow, self.h = events, flow, h
-        n = flow.size1_in(0)
-        self.n_rows = flow.size1_in(1)
-        self.places = ColumnLayout(
+class _Interval(NamedTuple):
+    """Results of the propagation over an interval of a minor step; MX.
+
+    State and armed rows at the end; values and slopes of the rows there; whether a candidate was found, and its
+    interval; undefined events up to the end and before it; extremes and integrals.
+    """
+
+    x: Any
+    armed: Any
+    y: Any
+    slope: Any
+    found: Any
+    first: Any
+    last: Any
+    lost: Any
+    lost_inside: Any
+    quantities: Any
+
+
+class _EventLocation:
+    """Functions of a minor step with events; column q contains the state at the time s after the start of the step."""
+
+    def __init__(self, events: Events, propagation: Any, h: float) -> None:
+        self.events, self.propagation, self.h = events, propagation, h
+        n, self.n_rows = propagation.size1_in(0), propagation.size1_in(1)
+        self.layout = ColumnLayout(
             (
                 ("x", n),
                 ("armed", self.n_rows),
                 ("s", 1),
-                ("quantities", flow.size1_out(9)),
+                ("quantities", propagation.size1_out(9)),
                 *build_event_record_layout(events, n),
                 *build_event_log_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_remaining_flow_inputs()
+        self.context = tuple((f"c{i}", propagation.size1_in(i)) for i in range(4, propagation.n_in()))
         self.lowest = self._build_zero_crossing_function()
         self.newton = self._compute_newton_or_bisection_step()
         self.effect = self._build_event_reset_function()
 
-    def _list_remaining_flow_inputs(self) -> list[tuple[str, int]]:
-        return [(f"c{i}", self.flow.size1_in(i)) for i in range(4, self.flow.n_in())]
+    def _create_symbols(self, *more: tuple[str, int]) -> list[Any]:
+        """Return q, then further symbols of given names and sizes, then t, p and the context."""
+        plant = ("t", 1), ("p", self.events.effects.size1_in(2))
+        return [ca.MX.sym(*sizes) for sizes in (("q", self.layout.size), *more, *plant, *self.context)]
 
-    def _create_event_step_symbols(self, *more: tuple[str, int]) -> list[Any]:
-        return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
+    def _propagate(self, v: dict[str, Any], end: Any, context: Sequence[Any]) -> _Interval:
+        return _Interval(*self.propagation(v["x"], v["armed"], v["s"], end, *context))
+
+    def _complete_interval(
+        self, v: dict[str, Any], end: Any, interval: _Interval, lost: Any
+    ) -> dict[str, Any]:
+        """Return the values after an interval up to ``end``, in which the events ``lost`` were undefined."""
+        quantities = merge_extremes_and_integrals(v["quantities"], interval.quantities)
+        lost = ca.fmax(v["lost"], lost)
+        return v | {
+            "x": interval.x,
+            "armed": interval.armed,
+            "s": end,
+            "lost": lost,
+            "quantities": quantities,
+        }
 
     def build_minor_step_with_events(self) -> Any:
-        q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
-        one = self._build_propagation_to_next_event()
+        """Return ``(q, t, p, *context) -> q``; a minor step with too many events ends the run."""
+        q, t, *others = self._create_symbols()
+        proceed = self._build_propagation_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
-            after = one(after, t, p, *context)
-        v = self.places.split_vector_by_name(after)
-        lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX))
-        v["stop"] = ca.if_else(lost, len(self.events) + 1, v["stop"])
-        v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
-        return ca.Function("passage", [q, t, p, *context], [self.places.stack_vector_by_name(v)])
+            after = proceed(after, t, *others)
+        v = self.layout.split_vector_by_name(after)
+        is_full = ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX)
+        self._end_run_if(v, is_full, len(self.events) + 1, t + v["s"])
+        return ca.Function("minor_step", [q, t, *others], [self.layout.stack_vector_by_name(v)])
+
+    @staticmethod
+    def _end_run_if(v: dict[str, Any], condition: Any, code: int, time: Any) -> None:
+        """Record the end of the run, with its code and time, if it has not ended before."""
+        ends = ca.logic_and(condition, v["stop"] < 0.5)
+        v["stop"] = ca.if_else(ends, code, v["stop"])
+        v["stop time"] = ca.if_else(ends, time, v["stop time"])
 
     def _build_propagation_to_next_event(self) -> Any:
         """Return the propagation function to the next event or to the end; inactive when the step is complete."""
-        inputs = self._create_event_step_symbols(("q", self.places.size))
-        idle = ca.Function("idle", inputs, [inputs[0]])
-        q, t, p, *context = inputs
-        v = self.places.split_vector_by_name(q)
-        x, armed, _, _, found, first, last, lost, _, seen = self.flow(
-            v["x"], v["armed"], v["s"], self.h, *context
+        q, *others = inputs = self._create_symbols()
+        v = self.layout.split_vector_by_name(q)
+        rest = self._propagate(v, self.h, others[2:])
+        whole = self.layout.stack_vector_by_name(self._complete_interval(v, self.h, rest, rest.lost))
+        given = self._create_symbols(("whole", self.layout.size), ("first", 1), ("last", 1))
+        without_event = ca.Function("without_event", given, [given[1]])
+        either = ca.Function.if_else("either", self._build_propagation_through_event(), without_event)
+        proceed = ca.Function(
+            "proceed", inputs, [either(rest.found, q, whole, rest.first, rest.last, *others)]
         )
-        whole = self.places.stack_vector_by_name(
-            self._accumulate_extremes_and_integrals(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
-        )
-        bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
-        given = self._create_event_step_symbols(("q", self.places.size), *bounds)
-        quiet = ca.Function("quiet", given, [given[1]])
-        propagated = ca.Function.if_else("fly", self._build_propagation_through_event(), quiet)(
-            found, q, whole, first, last, t, p, *context
-        )
-        fly = ca.Function("fly", inputs, [propagated])
-        q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
-        v = self.places.split_vector_by_name(q)
-        on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
-        choice = ca.Function.if_else("one", fly, idle)
-        return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
-
-    def _accumulate_extremes_and_integrals(self, v: dict[str, Any], s: Any, **segment: Any) -> dict[str, Any]:
-        seen = merge_extremes_and_integrals(v["quantities"], segment["quantities"])
-        return {**v, **segment, "s": s, "lost": ca.fmax(v["lost"], segment["lost"]), "quantities": seen}
+        complete = ca.Function("complete", inputs, [q])
+        active = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
+        choice = ca.Function.if_else("choice", proceed, complete)
+        return ca.Function("to_next_event", inputs, [choice(active, *inputs)])
 
     def _build_propagation_through_event(self) -> Any:
         """Propagate to a candidate crossing, and through its event if the row crosses zero."""
-        q, _, first, last, t, p, *context = symbols = self._create_event_step_symbols(
-            ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
+        inputs = self._create_symbols(("whole", self.layout.size), ("first", 1), ("last", 1))
+        q, _, first, last, *others = inputs
+        v, narrow, context = (
+            self.layout.split_vector_by_name(q),
+            self._build_event_bracket_narrowing(),
+            others[2:],
         )
-        v, narrow = self.places.split_vector_by_name(q), self._build_event_bracket_narrowing()
-        r = ca.vertcat(first, last, 0)
-        for _ in range(12):
-            r = narrow(r, v["x"], v["armed"], v["s"], *context)
-        first, last, _ = ca.vertsplit(r)
-        x, armed, y, *_, lost, _, seen = self.flow(v["x"], v["armed"], v["s"], last, *context)
-        crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.stack_vector_by_name(
-            self._accumulate_extremes_and_integrals(v, last, x=x, armed=armed, lost=lost, quantities=seen)
-        )
-        more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
-        given = self._create_event_step_symbols(*more, ("first", 1), ("last", 1))
-        go_on = ca.Function("go_on", given, [given[1]])
-        choice = ca.Function.if_else("meet", self._build_event_location_and_effect(), go_on)
-        met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
-        return ca.Function("meet", symbols, [met])
+        bracket = ca.vertcat(first, last, 0)
+        for _ in range(MAX_NARROWINGS):
+            bracket = narrow(bracket, v["x"], v["armed"], v["s"], *context)
+        first, last, _ = ca.vertsplit(bracket)
+        interval = self._propagate(v, last, context)
+        crossing = ca.logic_and(interval.armed, interval.y < 0)
+        beyond = self.layout.stack_vector_by_name(self._complete_interval(v, last, interval, interval.lost))
+        more = (("beyond", self.layout.size), ("crossing", self.n_rows), ("first", 1), ("last", 1))
+        given = self._create_symbols(*more)
+        without_crossing = ca.Function("without_crossing", given, [given[1]])
+        either = ca.Function.if_else("either", self._build_event_location_and_effect(), without_crossing)
+        after = either(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, *others)
+        return ca.Function("through_event", inputs, [after])
 
     def _build_event_bracket_narrowing(self) -> Any:
-        """Search the interval before a candidate again, as long as no row has crossed but one may have before."""
-        sizes = (
-            ("r", 3),
-            ("x", self.flow.size1_in(0)),
-            ("armed", self.n_rows),
-            ("s", 1),
-            *self._list_remaining_flow_inputs(),
-        )
-        r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
-        keep = ca.Function("keep", inputs, [r])
-        _, again, y, _, found, first, last, *_ = self.flow(x, armed, s, r[1], *context)
-        on = ca.logic_and(found, ca.logic_not(ca.sum1(ca.logic_and(again, y < 0)) > 0.5))
-        step = ca.Function("step", inputs, [ca.if_else(on, ca.vertcat(first, last, 0), ca.vertcat(r[:2], 1))])
-        choice = ca.Function.if_else("narrow", keep, step)
-        return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
+        """Search the interval before a candidate again, as long as no row has crossed but one may have before.
+
+        The bracket contains both ends of the interval and whether the search is complete.
+        """
+        sizes = (("bracket", 3), ("x", self.propagation.size1_in(0)), ("armed", self.n_rows), ("s", 1))
+        inputs = [ca.MX.sym(*size) for size in (*sizes, *self.context)]
+        bracket, x, armed, s, *context = inputs
+        interval = _Interval(*self.propagation(x, armed, s, bracket[1], *context))
+        crossed = ca.sum1(ca.logic_and(interval.armed, interval.y < 0)) > 0.5
+        narrower = ca.vertcat(interval.first, interval.last, 0)
+        again = ca.logic_and(interval.found, ca.logic_not(crossed))
+        step = ca.Function("step", inputs, [ca.if_else(again, narrower, ca.vertcat(bracket[:2], 1))])
+        either = ca.Function.if_else("either", ca.Function("complete", inputs, [bracket]), step)
+        return ca.Function("narrow", inputs, [either(bracket[2], *inputs)])
 
     def _build_event_location_and_effect(self) -> Any:
-        q, _, crossing, first, last, t, p, *context = given = self._create_event_step_symbols(
-            ("q", self.places.size),
-            ("beyond", self.places.size),
-            ("crossing", self.n_rows),
-            ("first", 1),
-            ("last", 1),
-        )
-        v = self.places.split_vector_by_name(q)
-        moment = SAME_TIME * self.h
-        improve = self._build_event_root_search_step()
-        r = ca.vertcat(last, first, last, 4 * self.h, 0)
-        for _ in range(60):
-            r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
-        s = r[0]
-        x, armed, y, *_, inside, seen = self.flow(v["x"], v["armed"], v["s"], s, *context)
-        y_later = self.flow(x, armed, s, s + moment, *context)[2]
-        least = self.lowest(y, y, crossing)[0]
-        fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._accumulate_extremes_and_integrals(v, s, x=x, armed=armed, lost=inside, quantities=seen)
-        w = self.places.split_vector_by_name(self.effect(self.places.stack_vector_by_name(met), fired, t, p))
+        """Return ``(q, beyond, crossing, first, last, t, p, *context) -> q`` at the event, after its resets."""
+        more = (("beyond", self.layout.size), ("crossing", self.n_rows), ("first", 1), ("last", 1))
+        q, _, crossing, first, last, t, p, *context = inputs = self._create_symbols(*more)
+        v = self.layout.split_vector_by_name(q)
+        s = self._locate_crossing(v, crossing, first, last, context)
+        before = self._propagate(v, s, context)
+        at_event = self._complete_interval(v, s, before, before.lost_inside)
+        later = self._propagate(at_event, s + SAME_TIME * self.h, context)
+        least = self.lowest(before.y, before.y, crossing)[0]
+        fired = ca.logic_and(crossing, ca.logic_or(later.y < 0, before.y <= least))
+        reset = self.effect(self.layout.stack_vector_by_name(at_event), fired, t, p)
+        w = self.layout.split_vector_by_name(reset)
+        after, soon = (self._propagate(w, s + late, context) for late in (0.0, SAME_TIME * self.h))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
-        slope_after = self.flow(w["x"], w["armed"], s, s, *context)[3]
-        y_on, slope_on = self.flow(w["x"], w["armed"], s, s + moment, *context)[2:4]
-        put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
-        kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
-        w["armed"] = ca.logic_or(kept, y_on > 0)
-        back = ca.logic_and(ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0)
-        endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
-        sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
-        through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))
-        event_occurred = w["count"] - v["count"]
-        for code, ends in (
-            (len(self.events) + 1, endless),
-            *self._check_resets_leave_event_surface(through, event_occurred),
-        ):
-            ends = ca.logic_and(ends, w["stop"] < 0.5)
-            w["stop"] = ca.if_else(ends, code, w["stop"])
-            w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
-        soon = RATE_SHARE_OF_STEP * self.h
-        rate = (self.flow(x, armed, s, s + soon, *context)[0] - x) / soon
+        raised = ca.logic_and(y_after >= 0, ca.fabs(y_after - before.y) > ca.fabs(later.y - before.y))
+        w["armed"] = ca.logic_or(
+            ca.logic_and(ca.logic_or(before.armed, raised), ca.logic_not(fired)), soon.y > 0
+        )
+        returns = ca.logic_and(ca.logic_and(after.slope > 0, soon.slope < 0), soon.y <= 0)
+        self._end_run_if(w, ca.sum1(ca.logic_and(fired, returns)) > 0.5, len(self.events) + 1, t + s)
+        # the row starts from rest at zero, and falls
+        falls = ca.logic_and(soon.slope < 0, 2 * ca.fabs(after.slope) <= ca.fabs(soon.slope))
+        through = ca.logic_and(ca.logic_and(fired, falls), soon.y <= ca.fabs(before.y))
+        for code, ends in self._check_resets_leave_event_surface(through, w["count"] - v["count"]):
+            self._end_run_if(w, ends, code, t + s)
+        step = RATE_SHARE_OF_STEP * self.h
+        rate = (self._propagate(at_event, s + step, context).x - before.x) / step
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
-        return ca.Function("happen", given, [self.places.stack_vector_by_name(w)])
+        return ca.Function("event", inputs, [self.layout.stack_vector_by_name(w)])
 
     def _check_resets_leave_event_surface(
         self, through: Any, event_occurred: Any
@@ -248,20 +275,27 @@ class _ZeroCrossingPropagation:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
+    def _locate_crossing(
+        self, v: dict[str, Any], crossing: Any, first: Any, last: Any, context: Sequence[Any]
+    ) -> Any:
+        """Return the time of the first zero of the crossing rows in a bracket."""
+        improve = self._build_event_root_search_step()
+        search = ca.vertcat(last, first, last, 4 * self.h, 0)
+        for _ in range(MAX_ROOT_STEPS):
+            search = improve(search, v["x"], v["armed"], v["s"], crossing, *context)
+        return search[0]
+
     def _build_event_root_search_step(self) -> Any:
-        r, x, armed, s, crossing = symbols = [
-            ca.MX.sym(name, size)
-            for name, size in (
-                ("r", 5), ("x", self.flow.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
-            )
-        ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._list_remaining_flow_inputs()]
-        inputs = [*symbols, *context]
-        keep = ca.Function("keep", inputs, [r])
-        _, _, y, slope, *_ = self.flow(x, armed, s, r[0], *context)
-        step = ca.Function("step", inputs, [self.newton(r, *self.lowest(y, slope, crossing))])
-        choice = ca.Function.if_else("improve", keep, step)
-        return ca.Function("improve", inputs, [choice(r[4], *inputs)])
+        """Return the step of the root search: time, bracket, size of the last step, and whether it has converged."""
+        n = self.propagation.size1_in(0)
+        sizes = (("search", 5), ("x", n), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows))
+        inputs = [ca.MX.sym(*size) for size in (*sizes, *self.context)]
+        search, x, armed, s, crossing, *context = inputs
+        interval = _Interval(*self.propagation(x, armed, s, search[0], *context))
+        improved = self.newton(search, *self.lowest(interval.y, interval.slope, crossing))
+        step = ca.Function("step", inputs, [improved])
+        either = ca.Function.if_else("either", ca.Function("converged", inputs, [search]), step)
+        return ca.Function("improve", inputs, [either(search[4], *inputs)])
 
     def _build_zero_crossing_function(self) -> Any:
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
@@ -291,9 +325,9 @@ class _ZeroCrossingPropagation:
 
     def _build_event_reset_function(self) -> Any:
         """Return ``(q, fired rows, t, p) -> q`` after conditions and resets, with the occurrences noted."""
-        column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
+        column, fired = ca.SX.sym("q", self.layout.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
-        v = self.places.split_vector_by_name(column)
+        v = self.layout.split_vector_by_name(column)
         now, x, n = t + v["s"], v["x"], v["x"].shape[0]
         holds, _ = self.events.effects(now, x, p)
         for j, event in enumerate(self.events.declared):
@@ -317,7 +351,7 @@ class _ZeroCrossingPropagation:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
         v["x"] = x
-        return ca.Function("effect", [column, fired, t, p], [self.places.stack_vector_by_name(v)])
+        return ca.Function("effect", [column, fired, t, p], [self.layout.stack_vector_by_name(v)])
 
 
 def _replace_vector_entry_if(column: Any, place: int, condition: Any, value: Any) -> Any:
