@@ -124,20 +124,6 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "lower", "upper"),
-    [
-        (lambda x, v, a: ca.fabs(a) <= 2, -2.0, 2.0),
-        (lambda x, v, a: 3 - ca.fabs(2 * a - 1) >= 0, -1.0, 2.0),
-        (lambda x, v, a: ca.fmax(a, -4 * a) <= 5, -1.25, 3.0),
-    ],
-)
-def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float, upper: float) -> None:
-    leg = solved_leg(lambda x, v, a: a**2, limit, (-10.0, 3.0))
-    assert not leg.paths
-    assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
-
-
-@pytest.mark.parametrize(
     "limit",
     [
         lambda x, v, a: ca.fabs(a) >= 0.5,

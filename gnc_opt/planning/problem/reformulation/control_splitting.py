@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -21,12 +20,9 @@ from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl
 from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import (
     Interval,
-    intersect_bounds,
     split_bounds_by_name,
     stack_named_bounds,
-    unbounded_interval,
 )
-from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, is_affine, sample_expression_randomly
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
@@ -34,7 +30,6 @@ from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_cost_kinks,
-    smooth_constraints,
     solve_affine_equation,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_controls import (
@@ -74,50 +69,6 @@ class ControlKink:
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
                     return cls(kink.node, base, factor, place, corner + 0.0)
         return None
-
-
-@dataclass(frozen=True, eq=False)
-class EquivalentBounds:
-    """Bounds of all controls that are equivalent to path constraints with kinks, by the name of the constraint."""
-
-    boxes: dict[str, Interval]
-
-    @classmethod
-    def from_phase(cls, _: ProblemData, phase: Phase, domain: SymbolRanges) -> EquivalentBounds:
-        symbols = ca.vertsplit(phase.model.symbols("control"))
-        controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
-        boxes = dict[str, Interval]()
-        for name, c in smooth_constraints(phase.paths, domain).items():
-            box = _read_control_bounds(c, controls, unbounded_interval(len(symbols)))
-            boxes |= {} if box is None else {name: box}
-        return cls(boxes)
-
-    @property
-    def cache_key(self) -> tuple[Any, ...]:
-        """Key that is equal for equal forms."""
-        return tuple(self.boxes)
-
-    def reformulate_phase(self, _: ProblemData, phase: Phase, __: tuple[Any, ...]) -> None:
-        """Replace the path constraints by the bounds."""
-        box = reduce(intersect_bounds, self.boxes.values(), phase.numbers.controls)
-        phase.numbers = replace(phase.numbers, controls=box)
-        phase.paths = {name: c for name, c in phase.paths.items() if name not in self.boxes}
-        phase.describe_reformulation(*(f"'{name}' is replaced by bounds of controls" for name in self.boxes))
-
-
-def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
-    """Return the bounds equivalent to a constraint if each row is affine in a single control, else None."""
-    for i, row in enumerate(ca.vertsplit(constraint.expression)):
-        own = ca.symvar(row)
-        place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
-        if place is None or not is_affine(row, own[0]):
-            return None
-        line = ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
-        rest, slope = sample_expression_randomly(line)[:, 0]
-        limits = constraint.interval.select_components([i])
-        lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
-        box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
-    return box if np.all(box.lower <= box.upper) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.redundant_bounds import (
     remove_redundant_control_bounds,
 )
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
-from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks, EquivalentBounds
+from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndpointEpigraph,
@@ -60,7 +60,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
         while (form := problem.memoize(("form", *key), partial(find_norm_substitution, phase))) is not None:
             key = (*key, *form.names, *form.reformulate_phase(problem, phase))
-        for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
+        for kind in (ControlKinks, KinkedTerms):
             key = _reformulate_nonsmooth_terms(problem, phase, key, kind)
         keys.append(key)
     ends: tuple[Any, ...] = ()
@@ -82,7 +82,7 @@ def _reformulate_nonsmooth_terms(
     problem: ProblemData,
     phase: Phase,
     key: tuple[Any, ...],
-    kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
+    kind: type[ControlKinks | KinkedTerms],
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
     place = ("operations", *key)
