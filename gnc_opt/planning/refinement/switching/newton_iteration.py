@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY, max_norm
+from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -105,15 +105,11 @@ def find_optimal_switching_times(
 def _iterate_to_optimal_switches(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
-    """Return the converged trajectory whose switching functions have the required signs.
-
-    If added arcs vanish again, or the iteration with them does not converge, the last converged trajectory is returned.
-    """
-    rested: SwitchedFlow | None = None
+    """Return the converged trajectory whose switching functions have the required signs, or None."""
     for _ in range(NEWTON_MAX_STEPS):
         step = compute_newton_step(problem, s, switches, steps)
         if step is None:
-            break
+            return None
         share, emptied = _limit_newton_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
             switches = _remove_bang_arc(switches, emptied)
@@ -121,12 +117,10 @@ def _iterate_to_optimal_switches(
             switches = _shift_switching_times(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or (rested and _are_switching_times_close(flight.switches, rested.switches)):
-                break
-            if flight.find_missing_bang_arc is None:
+            if flight is None or flight.find_missing_bang_arc is None:
                 return flight
-            rested, switches = flight, _insert_bang_arc(flight.switches, *flight.find_missing_bang_arc)
-    return rested
+            switches = _insert_bang_arc(flight.switches, *flight.find_missing_bang_arc)
+    return None
 
 
 def _iterate_simplified_newton(
@@ -242,13 +236,6 @@ def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tup
 def _shift_switching_times(switches: Switches, change: Array) -> Switches:
     times = switches.times + change[1:-1]
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
-
-
-def _are_switching_times_close(switches: Switches, others: Switches) -> bool:
-    if not np.array_equal(switches.channels, others.channels):
-        return False
-    apart = max_norm(switches.times - others.times)
-    return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
 def _remove_bang_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
