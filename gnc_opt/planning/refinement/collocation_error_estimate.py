@@ -13,9 +13,8 @@ Four dimensionless errors, which the NLP solver does not constrain:
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
@@ -31,12 +30,6 @@ from gnc_opt.planning.solution.solution import Solution
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""
-
-CONVERGENCE_WINDOW = 6
-"""Number of last passes that determine the convergence rate."""
-
-MAX_FURTHER_ITERATIONS = 10
-"""Largest number of further passes, predicted from the convergence rate, with which refinement continues."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +183,3 @@ def print_iterations(
     from gnc_opt.progress_display import show_refinement_progress
 
     return show_refinement_progress(name, tol)
-
-
-def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
-    """Return whether errors of more than `CONVERGENCE_WINDOW` passes decrease too slowly to reach the tolerance."""
-    if len(errors) <= CONVERGENCE_WINDOW:
-        return False
-    before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])
-    if now <= tol:
-        return False
-    needed = CONVERGENCE_WINDOW * math.log(now / tol)
-    return now >= before or needed > MAX_FURTHER_ITERATIONS * math.log(before / now)

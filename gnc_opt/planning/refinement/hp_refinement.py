@@ -27,7 +27,6 @@ from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.refinement.collocation_error_estimate import (
     PhaseError,
     estimate_segment_errors,
-    is_refinement_stagnating,
     print_iterations,
     record_iteration,
 )
@@ -143,20 +142,16 @@ class _Refinement:
             return RefinementStatus.CONVERGED
         stage = max(self.tol, STAGE_ERROR_SHARE * min(last.largest_finite_error, 1.0))
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self.tol else self.tol
-        limited = False
         while True:
             found = {name: build_next_mesh(error, stage) for name, error in last.errors.items()}
             meshes = {name: mesh for name, (mesh, _) in found.items()}
             if max(mesh.size for mesh in meshes.values()) <= self.budget.max_points:
                 break
-            limited, stage = True, 10.0 * stage
+            stage *= 10.0
             if stage > 0.5 * last.record.error:
                 return RefinementStatus.POINT_LIMIT
-        errors = [each.record.error for each in self.found]
-        totals = [float(np.sum(np.minimum(each.segment_errors, 1e6))) for each in self.found]
-        is_slow = all(is_refinement_stagnating(values, self.tol) for values in (errors, totals))
-        if is_slow or meshes == last.record.meshes:
-            return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
+        if meshes == last.record.meshes:
+            return RefinementStatus.STALLED
         return meshes, sum((actions for _, actions in found.values()), Actions())
 
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:

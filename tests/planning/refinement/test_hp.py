@@ -19,9 +19,7 @@ import gnc_opt as go
 from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.collocation_error_estimate import (
-    CONVERGENCE_WINDOW,
     compute_costate_residual,
-    is_refinement_stagnating,
 )
 from gnc_opt.planning.refinement.hp_refinement import (
     KINK_ESTIMATE_ORDER,
@@ -291,23 +289,6 @@ def test_work_limit() -> None:
     assert "max_work" in history.message and solution.objective == history.final_iteration.objective
     _, at_once = refine_mesh(solution, tol=1.0, budget=WorkBudget(0.0))
     assert at_once.converged
-
-
-@pytest.mark.parametrize(
-    ("errors", "crawling"),
-    [
-        ([1e-2] * CONVERGENCE_WINDOW, False),  # too few to tell
-        ([1e-2] * (CONVERGENCE_WINDOW + 1), True),
-        ([1e-9, *[1e-2] * CONVERGENCE_WINDOW], True),
-        ([1e-2, *[1.0] * (CONVERGENCE_WINDOW - 1), 1e-9], False),  # there already
-        ([10.0 ** (-k) for k in range(CONVERGENCE_WINDOW + 1)], False),  # a decade a pass: two are left
-        ([10.0 ** (-0.3 * k) for k in range(CONVERGENCE_WINDOW + 1)], True),  # twenty are left
-    ],
-)
-def test_an_error_that_falls_too_slowly_is_distinguished_from_one_that_gets_there(
-    errors: list[float], crawling: bool
-) -> None:
-    assert is_refinement_stagnating(errors, 1e-8) is crawling
 
 
 def test_interruption_keeps_the_best_solution() -> None:
