@@ -23,9 +23,6 @@ LOCAL_ERROR_RATIO = 1e3
 CANDIDATE_ERROR_MARGIN = 3.0
 """Difference of objectives, in estimated errors, above which two solutions belong to different minima."""
 
-OPEN_MAX_RATIO = 1e2
-"""Largest ratio of a failed condition to its tolerance that a finer mesh may resolve."""
-
 _CHATTERING = (
     "A singular arc, {where}, may be of higher order. Such arcs connect to bound arcs only by chattering, that is, by "
     "infinitely many switches that no mesh resolves. The cost is accurate to its change in the last passes; with a "
@@ -94,12 +91,6 @@ class Candidate:
         """Return whether the optimality check has been computed and passed."""
         return self.verdict_if_checked is not None and self.verdict_if_checked.ok
 
-    @property
-    def is_nearly_optimal(self) -> bool:
-        """Return whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
-        left = () if self.verdict_if_checked is None else self.verdict_if_checked.open_conditions
-        return bool(left) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in left)
-
     def is_cost_accurate(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_local_error <= LOCAL_ERROR_RATIO * tol:
@@ -107,8 +98,6 @@ class Candidate:
         found = self.solution.objective_error
         if found.relative_error <= tol:
             return True
-        if found.infeasibility > tol * found.scale:
-            return False
         return found.infeasibility + self.integrated_hamiltonian_excess <= tol * found.scale
 
     def get_errors_for_solution_ranking(self, tol: float) -> tuple[float, float]:

@@ -265,7 +265,7 @@ class StagedRefinement:
         found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
         yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
-            if not found.largest_local_error <= self.tol or not found.is_nearly_optimal:
+            if not found.largest_local_error <= self.tol:
                 return
             finer = yield from self._refine_mesh_by_hp(found.solution, 1.0, HP, share * self.tol)
             if not finer.objective_error <= 0.5 * found.objective_error:
