@@ -34,13 +34,6 @@ def mask_affine_controls(samples: PhaseSamples) -> Mask:
     return linear & bounded
 
 
-def mask_nonconvex_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls with two finite bounds have H neither linear nor convex along the phase, (m,)."""
-    bounds = samples.phase.control_bounds
-    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray(bounded & ~_mask_linear_controls(samples) & ~mask_convex_controls(samples))
-
-
 def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
     """Return the path constraints that limit a single control, linear in H or always at its limits."""
     linear = _mask_linear_controls(samples)

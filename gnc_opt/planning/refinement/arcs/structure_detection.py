@@ -21,7 +21,6 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     find_linear_path_constraints,
     mask_affine_controls,
     mask_convex_controls,
-    mask_regular_controls,
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     SHORT_ARC_SEGMENTS,
@@ -49,13 +48,10 @@ def detect_control_structure(samples: PhaseSamples, determined: Sequence[ArcCont
     by their distances from the bounds, path constraints and states by distances and multipliers.
     """
     phase, regular, affine = samples.phase, mask_convex_controls(samples), mask_affine_controls(samples)
-    strictly = mask_regular_controls(samples)
     limits = find_linear_path_constraints(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(phase.controls.size)]
     rows = [
-        _classify_linear_arcs(samples, i, held[i])
-        if affine[i]
-        else _classify_nonlinear_arcs(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
+        _classify_linear_arcs(samples, i, held[i]) if affine[i] else _classify_nonlinear_arcs(samples, i)
         for i in range(phase.controls.size)
     ]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
@@ -177,19 +173,11 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
     return [k for k in found if k - 1 in found or k + 1 in found]
 
 
-def _classify_nonlinear_arcs(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
-    """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
+def _classify_nonlinear_arcs(samples: PhaseSamples, i: int) -> KindArray:
+    """Return LOWER, UPPER or INTERIOR at each sample."""
     at_lower, at_upper = samples.phase.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
-    labels = _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
-    lengths = np.diff(samples.phase.breaks)[samples.segments]
-    for first, last in find_equal_value_intervals(labels):
-        ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
-        width = samples.times[last - 1] - samples.times[first]
-        if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
-            high = samples.u[i, first:last] > samples.phase.control_bounds.midpoint[i]
-            labels[first:last] = select_kind(high, ArcKind.UPPER, ArcKind.LOWER)
-    return labels
+    return _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
 
 
 def _find_control_signs_in_mixed_constraints(
