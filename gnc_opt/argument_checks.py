@@ -149,7 +149,7 @@ def read_display_name(
     what: str,
     error: ErrorType = ArgumentError,
     *,
-    instead: str = "its name comes first, a text",
+    instead: str = "give its name first, as text",
 ) -> str:
     """Return a name for results and reports: any text without brackets and line breaks."""
     article = "an" if what[:1] in "aeiou" else "a"

@@ -51,7 +51,7 @@ INTERNAL = {
     "Solution": "phase_functions samples outside_tables trajectory_phases with_verdict need_problem "
     "need_solved_problem",
     "ClosedLoop": "kernel",
-    "Controller": "unbridged flight easy reference_layout schedule_row step_length",
+    "Controller": "without_dropout_handling codegen_law unconstrained_law reference_layout schedule_row step_length",
 }
 """Members of classes that other modules need and users do not."""
 

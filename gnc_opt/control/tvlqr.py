@@ -104,7 +104,7 @@ def design_tvlqr(
         reference,
         Reference,
         "the reference of design_tvlqr()",
-        "give a Reference of the trajectory to follow",
+        "write Reference(solution), or give another Reference",
     )
     deviation = ErrorDynamics(model)
     cost = read_quadratic_cost(model, Q, R, N)

@@ -265,7 +265,7 @@ def _build_solution_summary_table(
         rows.append(("switches", f"{switches} between control limits{place}"))
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
-        rows.append(("independent integration", f"of the applied controls: {text}"))
+        rows.append(("integration of the applied controls", text))
     rows += _format_smallest_path_margin_row(limits, time_unit(solution))
     rows += [*_format_vector_norm_rows(solution), *_format_propellant_and_effort_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]

@@ -22,7 +22,7 @@ from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.simulation_run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.zero_crossing_events import EventOccurrence
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
-from gnc_opt.text_html_and_json_formatting import PrintableResult
+from gnc_opt.text_html_and_json_formatting import PrintableResult, simplify_time_integral_unit
 
 
 def compute_settling_time(times: Array, distance: Array, band: float) -> float:
@@ -332,6 +332,6 @@ def _format_variable_norms(layout: Layout, values: Array, suffix: str | None = "
     parts = []
     for variable in layout.variables:
         size = np.linalg.norm(values[layout.slice(variable.name)])
-        unit = "s" if suffix is None else f"{variable.unit}{suffix}"
+        unit = "s" if suffix is None else simplify_time_integral_unit(f"{variable.unit}{suffix}".strip())
         parts.append(f"{variable.name} {size:.3g} {unit}".rstrip())
     return ", ".join(parts)

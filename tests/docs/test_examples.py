@@ -12,7 +12,7 @@ from testing.pages import DOCS, PAGES, README, Block, Page
 
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\d.])")
 
-EFFORT = re.compile(r"\d+(?= iterations)|(?<=build )\S+|(?<=solve )\S+|(?<=time spent   )\S+")
+EFFORT = re.compile(r"\d+(?= iterations)|(?<=transcription )\S+|(?<=solve )\S+|(?<=time spent   )\S+")
 """What a solve costs depends on the machine and on versions."""
 
 ROUNDING = 1e-7
@@ -122,8 +122,8 @@ def test_other_numbers_and_words_are_found(printed: str, shown: str) -> None:
     ("printed", "shown"),
     [
         (
-            "mesh 20x4 LG, 17 iterations, build 0.1 s, solve 0.2 s",
-            "mesh 20x4 LG, 16 iterations, build 3 s, solve 1 s",
+            "mesh 20x4 LG, 17 iterations, transcription 0.1 s, solve 0.2 s",
+            "mesh 20x4 LG, 16 iterations, transcription 3 s, solve 1 s",
         ),
         ("objective 2.00000004", "objective 2.000000037"),
         ("defect 2.1e-10, segment 3", "defect 1.7e-10, segment 4"),

@@ -336,7 +336,7 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     page = write_campaign_report(wide, tmp_path)[0].read_text("utf-8")
     errors = 100 * np.sort(campaign.measure("r")) / 3.0
     share, low, high = (f"{errors[i]:.3g} %" for i in (35, 31, 39))
-    text = f"final error of r: its 90 % percentile is {share} of the limit (95 % confidence interval {low} to {high})."
+    text = f"final error of r: its 90th percentile is {share} of the limit (95 % confidence interval {low} to {high})."
     rate = wide.pass_rate()
     interval = f"between {100 * rate.low:.4g} % and 100 %.</li><li>No pass probability is required."
     assert "<strong>40 of 40 runs meet all limits.</strong>" in page and interval in page

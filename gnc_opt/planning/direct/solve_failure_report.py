@@ -64,8 +64,8 @@ def suggest_initial_guesses(problem: Problem) -> list[str]:
         return []
     hint = (
         "Give a trajectory as the guess: a simulation by go.guess_from_simulation(), waypoints in "
-        "phase.guess(time=..., ...) (around a centre an arc instead of a straight line; or use polar coordinates), "
-        "or a simpler problem's solution in go.guess_from_solution()."
+        "phase.guess(time=..., ...), or a simpler problem's solution in go.guess_from_solution(). For motion around a "
+        "centre, give an arc instead of a straight line, or use polar coordinates."
     )
     names = _find_states_of_unknown_magnitude(problem)
     if not names:

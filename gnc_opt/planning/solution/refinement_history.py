@@ -42,10 +42,10 @@ class Statistics:
 
     @property
     def summary_text(self) -> str:
-        """Text such as ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
+        """Text such as ``"12 iterations, transcription 0.046 s, solve 0.010 s"``."""
         if self.iterations == 0 and self.solve_s == 0.0:
             return "Newton's method on the switching times"
-        build = "build re-used" if self.compiled_before else f"build {self.build_s:.3f} s"
+        build = "transcription reused" if self.compiled_before else f"transcription {self.build_s:.3f} s"
         return (
             f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
         )

@@ -87,6 +87,8 @@ def test_a_run_in_words():
         "  integration   error about 2.0e-10, seed 5",
     ]
     assert len(str(run_by_hand(errors=None, reference=None)).splitlines()) == 4
+    pushed = LAYOUTS | {"applied": Layout("control", (Variable("u", 2, "m/s^2"),))}
+    assert "effort        u 5 m/s\n" in str(run_by_hand(layouts=pushed))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ def test_phases_refused() -> None:
     problem = go.Problem("p")
     with refused(go.ArgumentError, "model of phase 'leg' of problem 'p'", "Problem", "phase(name, model)"):
         problem.phase("leg", problem)
-    with refused(go.ProblemError, "Model('cart'", "cannot be the name of a phase", "its name comes first"):
+    with refused(go.ProblemError, "Model('cart'", "cannot be the name of a phase", "give its name first"):
         go.Problem("p").phase(cart(), "leg")
 
     problem, model = go.Problem("p"), cart()
@@ -193,7 +193,7 @@ def test_path_constraints_integrals_refused() -> None:
     with refused(go.ProblemError, "path constraint 'foreign'", "uses 'w_0'", "model 'cart'"):
         leg.path("foreign", ship().symbol("w")[0], upper=1.0)
     with refused(
-        go.ProblemError, "cannot be the name of a path constraint of phase 'leg'", "its name comes first"
+        go.ProblemError, "cannot be the name of a path constraint of phase 'leg'", "give its name first"
     ):
         leg.path(leg.model.symbol("v") <= 1.0)
 
@@ -201,7 +201,7 @@ def test_path_constraints_integrals_refused() -> None:
     with refused(
         go.ProblemError,
         "cannot be the name of a constraint of problem 'rest to rest'",
-        "its name comes first",
+        "give its name first",
     ):
         problem.constrain(leg.final_time <= 3.0)
 
@@ -325,7 +325,7 @@ def test_guesses_and_scales_refused() -> None:
         rest_to_rest()[1].guess(qq=1.0)
     with refused(go.ProblemError, "times of the guess in phase 'leg'", "increase"):
         rest_to_rest()[1].guess(time=[0.0, 2.0, 1.0], q=[0.0, 1.0, 2.0])
-    with refused(go.ProblemError, "guess of 'q' in phase 'leg'", "(4,)", "3 guess times give (1, 3)"):
+    with refused(go.ProblemError, "guess of 'q' in phase 'leg'", "(4,)", "give (1, 3) for 3 guess times"):
         rest_to_rest()[1].guess(time=[0.0, 1.0, 2.0], q=[0.0, 1.0, 2.0, 3.0])
     with refused(go.ProblemError, "guess of 'r' in phase 'leg'", "(2, 3)", "give (3, 3)"):
         voyage()[1].guess(time=[0.0, 1.0, 2.0], r=np.zeros((2, 3)))

@@ -103,6 +103,6 @@ def _interpolate_guess_table(array: Array, size: int, at: Array, times: Array | 
         return np.tile(read_vector(array, size, what)[:, None], at.size)
     if array.size != size * times.size:
         raise ProblemError(
-            f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."
+            f"{what} has the shape {array.shape}: give ({size}, {times.size}) for {times.size} guess times."
         )
     return _interpolate_guess(array, times, at)
