@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from testing.internals import find_overshooting_controls, list_limit_margins
+from testing.internals import list_limit_margins
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES
-from gnc_opt.planning.solution.solution_summary import _summarise_overshoot
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_html_page import (
@@ -135,21 +134,6 @@ def test_unit_of_the_objective_is_that_of_its_terms_or_as_stated() -> None:
     with pytest.raises(GncOptError, match=r'the unit of the cost of problem .*: write unit="kg"'):
         problem.cost = None
         problem.minimize(leg.final_time, unit=1)  # type: ignore[arg-type]
-
-
-def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) -> None:
-    text = summary(smeared)
-    (over,) = find_overshooting_controls(smeared.phase()).values()
-    times = np.linspace(0.0, smeared.phase().final_time, 20001)
-    truth = np.max(np.abs(smeared.control("a")(times))) - 1.0
-    assert truth > 0.1
-    # The peak sits at a segment boundary, which is sampled from both sides; 2 % is for the 20001 times above.
-    assert over == pytest.approx(truth, rel=0.02)
-    assert f"control polynomials exceed their bounds between nodes (a by {over:.3g} m/s^2)" in text
-    assert "use saturated_control or refine" in text
-    phases = {name: dataclasses.replace(smeared.phase(), name=name) for name in ("boost", "coast")}
-    several = [text for _, text in _summarise_overshoot(dataclasses.replace(smeared, phases=phases))]
-    assert ["boost" in several[0], "coast" in several[1], len(several)] == [True, True, 2]
 
 
 def test_samples_are_mentioned_only_in_the_verdict_on_samples() -> None:

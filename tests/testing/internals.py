@@ -93,7 +93,6 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.solution_from_nlp_result import unwrap_angles
-from gnc_opt.planning.solution.solution_summary import find_overshooting_controls
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, solve_with_tighter_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (

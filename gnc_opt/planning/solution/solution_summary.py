@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.symbolic_expressions import OutsideTable
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
-"""Largest number of violated constraints, open conditions and overshooting controls that are named."""
+"""Largest number of violated constraints that are named."""
 
 BETTER_COARSE_SOLVE = "also seen"
 """Key of the provenance: a better solution on a coarse mesh during the refinement, possibly another minimum."""
@@ -73,7 +70,6 @@ def summary(solution: SolutionLike) -> str:
         *_summarise_lower_bound_and_norms(solution),
         ("mesh", format_mesh(solution)),
         ("time spent", f"{seconds:.2f} s; last solve: {spent.summary_text}"),
-        *_summarise_overshoot(solution),
         *(("table", str(found)) for found in list_points_outside_tables(solution)),
     ]
     lines = [f"  {label:<{LABEL_WIDTH}}{text}" for label, text in rows]
@@ -84,18 +80,6 @@ def get_available_solution_accuracy(solution: SolutionLike) -> Accuracy | None:
     """Return the accuracy, computed or stored in the file; None if neither is possible."""
     known: Accuracy | None = vars(solution).get("accuracy")
     return known if solution.problem is None else solution.accuracy
-
-
-def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
-    """Return the largest overshoots of control polynomials between nodes by component, in descending relative order."""
-    times = phase.sample_times(32)
-    values = np.hstack([phase.u(times, "right"), phase.u(times, "left")])
-    worst = np.max(phase.control_bounds.compute_bound_violation(values), axis=1)
-    span = phase.control_bounds.upper - phase.control_bounds.lower
-    relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
-    held = np.any(phase.applied.is_piecewise_constant, axis=1).tolist()
-    order = np.argsort(-relative, kind="stable")
-    return {phase.controls.labels[i]: float(worst[i]) for i in order if held[i]}
 
 
 def format_mesh(solution: SolutionLike) -> str:
@@ -196,20 +180,6 @@ def _summarise_lower_bound_and_norms(solution: SolutionLike) -> Iterator[tuple[s
 def time_unit(solution: SolutionLike) -> str:
     """Return the unit of time; s for a solution without its problem."""
     return "s" if solution.problem is None else solution.problem.time_unit
-
-
-def _summarise_overshoot(solution: SolutionLike) -> Iterator[tuple[str, str]]:
-    for phase in solution.phases.values():
-        over = find_overshooting_controls(phase)
-        if not over:
-            continue
-        units = dict(zip(phase.controls.labels, phase.controls.units, strict=True))
-        named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
-        more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
-        where = f" of phase {phase.name}" if len(solution.phases) > 1 else ""
-        text = f"control polynomials{where} exceed their bounds between nodes"
-        names = ", ".join(named[:SUMMARY_MAX_NAMES]) + more
-        yield "overshoot", f"{text} ({names}): use saturated_control or refine"
 
 
 def list_points_outside_tables(solution: SolutionLike) -> list[OutsideTable]:
