@@ -78,16 +78,13 @@ def build_phase_solutions(
     """Return the solution of every phase, and the end-point gradients."""
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
-    extended = np.concatenate([iterate.x, transcription.list_fixed_phase_times(problem)])
     integrals: dict[str, Array] = {}
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
-        collocation, states = part.collocation, iterate.x[part.collocation.boundary_states]
-        anchors = extended[part.times]
-        times, spans = _compute_collocation_times(collocation, anchors)
-        x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-        integrands = bind_parameters(problem, name, q).integrands(times, x, u)
-        integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
+        states = iterate.x[part.collocation.boundary_states]
+        anchors, spans, at = _read_collocation_points(transcription, problem, part, iterate.x)
+        integrands = bind_parameters(problem, name, q).integrands(*at)
+        integrals[name] = np.asarray(integrands @ (part.collocation.quadrature_weights * spans))
         p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
     gradients = evaluate_endpoint_gradients(problem, ends, q, nu)
@@ -101,14 +98,11 @@ def build_phase_solutions(
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with unwrapped angular controls."""
     q = variables[transcription.parameter_places]
-    extended = np.concatenate([variables, transcription.list_fixed_phase_times(problem)])
     found = variables.copy()
     for name, part in transcription.parts.items():
-        phase, collocation = problem.phases[name], part.collocation
-        functions = bind_parameters(problem, name, q)
-        times, _ = _compute_collocation_times(collocation, extended[part.times])
-        x, u = extended[collocation.point_states], extended[collocation.point_controls]
-        found[collocation.point_controls] = unwrap_angles(functions, phase.numbers.controls, times, x, u)
+        functions, bounds = bind_parameters(problem, name, q), problem.phases[name].numbers.controls
+        at = _read_collocation_points(transcription, problem, part, variables)[2]
+        found[part.collocation.point_controls] = unwrap_angles(functions, bounds, *at)
     return found
 
 
@@ -136,10 +130,15 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     return turned
 
 
-def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
-    """Return the times of the collocation points and the durations of their arcs, (N,) each."""
-    spans = np.diff(anchors)[collocation.point_arc_indices]
-    return anchors[collocation.point_arc_indices] + collocation.normalised_times_in_arcs * spans, spans
+def _read_collocation_points(
+    transcription: Transcription, problem: Problem, part: PhaseIndices, variables: Array
+) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+    """Return the anchor times, the durations of the arcs of the points (N,), and times, states and controls there."""
+    collocation, arcs = part.collocation, part.collocation.point_arc_indices
+    anchors = np.concatenate([variables, transcription.list_fixed_phase_times(problem)])[part.times]
+    spans = np.diff(anchors)[arcs]
+    times = anchors[arcs] + collocation.normalised_times_in_arcs * spans
+    return anchors, spans, (times, variables[collocation.point_states], variables[collocation.point_controls])
 
 
 def _fix_movable_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
@@ -165,10 +164,8 @@ def _build_phase_solution(
 ) -> PhaseSolution:
     phase, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
-    anchors = np.concatenate([iterate.x, transcription.list_fixed_phase_times(problem)])[part.times]
-    times, spans = _compute_collocation_times(collocation, anchors)
+    anchors, spans, (times, x, u) = _read_collocation_points(transcription, problem, part, iterate.x)
     functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
-    x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = compute_costates_at_collocation_points(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
