@@ -9,10 +9,9 @@ A control z that is determined by an equality :math:`g(t, x, z, p) = c` is a fun
               \\left(\\frac{\\partial g}{\\partial t} + \\frac{\\partial g}{\\partial x} \\dot x\\right)
 
 with :math:`g = c` at the start of the phase, which preserves g = c. The solver treats z as a state with that boundary
-constraint, without a path constraint. The costate of z is appended to those of the states. Equalities from `Phase.path`
-are kept unless all other controls are bounded and enter affinely, because they would then hide bang-bang arcs (U. M.
-Ascher and L. R. Petzold, Computer Methods for Ordinary Differential Equations and Differential-Algebraic Equations,
-1998, section 9.1).
+constraint, without a path constraint. The costate of z is appended to those of the states (U. M. Ascher and L. R.
+Petzold, Computer Methods for Ordinary Differential Equations and Differential-Algebraic Equations, 1998, section 9.1).
+Equalities from `Phase.path` are kept.
 """
 
 from __future__ import annotations
@@ -27,13 +26,11 @@ import numpy as np
 from gnc_opt.model.model_variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
-from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import find_bounds_not_implied_by_norm
 from gnc_opt.planning.problem.reformulation.reformulated_controls import build_guess_of_expression
 from gnc_opt.planning.problem.scaling_magnitudes import SAMPLES
-from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
 
 P = TypeVar("P", bound=ProblemData)
 
@@ -47,17 +44,6 @@ class AlgebraicVariable:
     residual: Any
     rate: Any
     ends: dict[str, dict[str, Any]]
-
-    def is_conversion_to_state_needed(self, phase: Phase) -> bool:
-        """Return whether the variable is declared as algebraic, or would hide bang-bang arcs of the other controls."""
-        model, name = phase.model, self.symbol.variable.name
-        if name in model.algebraic_equations:
-            return True
-        others = [model.controls.slice(other) for other in model.controls.names if other != name]
-        symbols, box = model.symbols("control"), phase.numbers.controls
-        if not others or not all(np.all(np.isfinite([box.lower[r], box.upper[r]])) for r in others):
-            return False
-        return is_affine(stack_phase_expressions(phase), ca.vertcat(*(symbols[rows] for rows in others)))
 
     def is_rate_finite_at_guess(self, problem: ProblemData, phase: Phase) -> bool:
         """Return whether the rate of the variable is finite along the guess of a phase."""
@@ -90,8 +76,7 @@ def replace_algebraic_variables(problem: P) -> P:
             ("algebraic", name),
             lambda phase=phase: list(_find_algebraic_variables(phase)),  # type: ignore[misc]
         )
-        needed = [form for form in forms if form.is_conversion_to_state_needed(phase)]
-        found += [(name, form) for form in needed if form.is_rate_finite_at_guess(problem, phase)]
+        found += [(name, form) for form in forms if form.is_rate_finite_at_guess(problem, phase)]
     if not found:
         return problem
     twin = problem.clone()
@@ -106,15 +91,17 @@ def _find_algebraic_variables(phase: Phase) -> Iterator[AlgebraicVariable]:
     model = phase.model
     t, x, _, _ = model.symbolic_arguments()
     rate = model.state_derivative()
-    for name, constraint in phase.paths.items():
-        residual = constraint.expression
-        controls = [c for c in map(model.symbol, model.controls.names) if ca.depends_on(residual, c)]
-        if len(controls) != 1 or controls[0].shape != residual.shape or not all(constraint.interval.is_fixed):
+    for name in model.algebraic_equations:
+        constraint = phase.paths.get(f"equation of {name}")
+        if constraint is None:  # the variable is a state already
             continue
-        z, slope = controls[0], ca.jacobian(residual, controls[0])
-        if not ca.depends_on(residual, ca.vertcat(t, x)) or ca.sprank(slope) < slope.shape[0]:
+        z, residual = model.symbol(name), constraint.expression
+        others = ca.vertcat(*(model.symbol(other) for other in model.controls.names if other != name))
+        slope = ca.jacobian(residual, z)
+        determined = ca.depends_on(residual, ca.vertcat(t, x)) and not ca.depends_on(residual, others)
+        if not determined or ca.sprank(slope) < slope.shape[0]:
             continue
         along = ca.jacobian(residual, t) + ca.jacobian(residual, x) @ rate
         label, size = z.variable.name, z.variable.size
         ends = {end: {label: ca.SX.sym(f"{phase.name}_{end}_{label}", size)} for end in ("initial", "final")}
-        yield AlgebraicVariable(z, name, residual, -ca.solve(slope, along), ends)
+        yield AlgebraicVariable(z, constraint.name, residual, -ca.solve(slope, along), ends)

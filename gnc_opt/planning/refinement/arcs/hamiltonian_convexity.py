@@ -105,12 +105,6 @@ class LinearPathLimits:
                 slopes[rows] = jacobian[rows, i]
         return cls(samples, found, slopes)
 
-    @property
-    def linear_path_constraints(self) -> Mask:
-        """Path constraints that are contained in ``rows``, (n_paths,)."""
-        found = [row for rows in self.rows.values() for row in rows]
-        return np.isin(np.arange(self.slopes.shape[0]), found)
-
     def has_path_bounds(self, control: int) -> bool:
         """Return whether a control has finite limits along the whole phase."""
         return bool(np.all(np.isfinite(self._find_tightest_limits(control))))
