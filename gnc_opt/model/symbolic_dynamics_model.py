@@ -311,7 +311,7 @@ class Model(StrictAttributes):
         """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 along a phase.
 
         Each phase has z as a control and the path constraint ``equation of z``. If g = 0 has several solutions, the
-        guess selects one. See `gnc_opt.planning.problem.reformulation.algebraic_variables`.
+        guess selects one.
 
         Parameters
         ----------

@@ -367,13 +367,8 @@ class Phase(StrictAttributes):
         """Symbol of the elapsed share of the phase, from 0 to 1, for bounds and expressions along the phase."""
         return add_elapsed_fraction_state(self)
 
-    def add_states(
-        self,
-        rates: Mapping[Symbol, Any],
-        controls: Sequence[Symbol] = (),
-        ends: Mapping[str, Mapping[str, Any]] | None = None,
-    ) -> None:
-        """Add states (possibly former controls) with their rates and end-point symbols; named bounds are kept."""
+    def add_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> None:
+        """Add states (possibly former controls) with their rates; named bounds are kept."""
         old, box = self.model, self.numbers
         self._owner.require_mutable()
         model = old.with_states(rates, controls)
@@ -389,7 +384,6 @@ class Phase(StrictAttributes):
         )
         self.model = model
         for end, symbols in self._ends.items():
-            symbols.update({} if ends is None else ends[end])
             for v in model.states.variables:
                 symbols.setdefault(v.name, Symbol(Variable(f"{self.name}_{end}_{v.name}", v.size)))
         self._owner.clear_cache()

@@ -109,9 +109,11 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    slope = set_nonfinite_to_zero(s.functions.control_gradient(*at))
-    curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
-    curvature = set_nonfinite_to_zero(curvature)
+    slope, curvature = _project_hamiltonian_derivatives_on_equations(
+        s,
+        set_nonfinite_to_zero(s.functions.control_gradient(*at)),
+        set_nonfinite_to_zero(s.functions.control_hessian(*at)),
+    )
     bounds = s.phase.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
@@ -120,6 +122,20 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     net = s.integrate_over_segments(np.sum(gains, axis=0))
     positive = s.integrate_over_segments(np.sum(np.maximum(gains, 0.0), axis=0))
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
+
+
+def _project_hamiltonian_derivatives_on_equations(
+    s: PhaseSamples, gradient: Array, hessian: Array
+) -> tuple[Array, Array]:
+    """Return slopes and curvatures of H (m, n_times) along single controls, corrected onto the path equations."""
+    equations = s.phase.path_bounds.is_fixed & s.functions.mixed_path_constraints
+    if not np.any(equations):
+        return gradient, np.einsum("iij->ij", hessian)
+    normals = s.functions.path_control_jacobian(s.times_inside_segments, s.x, s.u_polynomial)[equations]
+    normals = np.moveaxis(set_nonfinite_to_zero(normals), -1, 0)
+    tangents = np.eye(gradient.shape[0]) - np.linalg.pinv(normals) @ normals
+    slopes = np.einsum("tij,jt->it", tangents, gradient)
+    return slopes, np.einsum("tij,jkt,tik->it", tangents, hessian, tangents)
 
 
 def _maximise_bounded_quadratic(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:

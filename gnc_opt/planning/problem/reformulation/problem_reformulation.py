@@ -1,4 +1,4 @@
-"""Reformulation of a problem: norms, kinks, algebraic variables, and redundant bounds."""
+"""Reformulation of a problem: norms, kinks, and redundant bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from gnc_opt.planning.problem.redundant_bounds import (
     find_bounds_not_implied_by_norm,
     remove_redundant_control_bounds,
 )
-from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -37,7 +36,7 @@ def reformulate_problem(problem: P) -> P:
 
     Variations of a problem with other numbers have reformulations that are variations of one another.
     """
-    problem = _reformulate_norms_and_kinks(replace_algebraic_variables(problem))
+    problem = _reformulate_norms_and_kinks(problem)
     found = {name: remove_redundant_control_bounds(problem, phase) for name, phase in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
