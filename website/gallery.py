@@ -27,7 +27,7 @@ SHOWN_OPTIONS = {"hypersensitive": {"duration": 40.0}}
 
 
 def reference(example: Example) -> Reference | None:
-    """Return the known answer; systems compare themselves with their publications instead."""
+    """Return the reference value; systems compare themselves with their publications instead."""
     found = getattr(example.module, "REFERENCE", None)
     return found if isinstance(found, Reference) else None
 
@@ -69,10 +69,11 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     if known is not None:
         value = f"{known.value:.10g} {known.unit} ({known.source})"
         accepted = superscripts(f"{known.tolerance:.0e} {known.unit}").rstrip()
-        yield f"**Known answer**: {superscripts(value)}. Accepted difference: {accepted}.\n"
+        yield f"**Reference**: {superscripts(value)}. Tolerance: {accepted}.\n"
     if known is not None and not example.is_package:
         objective, check = result(example)
-        yield f"`go.solve` finds {objective} ([check](../problems.md): {check}).\n"
+        found = re.sub("^max ", "the maximum ", objective).replace(", **", ", which **")
+        yield f"`go.solve` finds {found}. [Optimality check](../problems.md): {check}.\n"
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"The page [{example.name.replace('_', ' ')}](../{example.name}.md) describes the results.\n"
     command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.module_name}`"

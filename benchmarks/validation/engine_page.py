@@ -47,7 +47,7 @@ def _counts(rows: Sequence[Row]) -> str:
     minima, passed = sum(row.minimum for row in rows), sum(row.ok for row in rows)
     return (
         f"Of {len(rows)} problems, {sum(row.right for row in rows)} agree with the reference. The check certifies "
-        f"{minima} as a strict local minimum; {passed - minima} more pass, and {len(rows) - passed} fail a condition."
+        f"{minima} as a strict local optimum; {passed - minima} more pass, and {len(rows) - passed} fail a condition."
     )
 
 
@@ -67,7 +67,7 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
 def _check(row: Row) -> str:
     """Return the result of the optimality check with the conditions that fail, or why there is no solution."""
     if row.ok:
-        return "minimum" if row.minimum else "necessary conditions"
+        return "optimum" if row.minimum else "necessary conditions"
     return f"**fails**: {re.sub(r' [-+.0-9e]+(?=;|$)', '', row.note).replace(';', ',').replace('_', ' ')}"
 
 

@@ -1,4 +1,4 @@
-r"""Sampled-data plant and cost: exact discretisation for a zero-order hold.
+r"""Sampled-data plant and cost: exact discretisation for a zero-order hold; step counters, poles of sampled loops.
 
 With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and cost rate :math:`\xi^T W \xi`, the flow of
 
@@ -105,7 +105,7 @@ def discretize_plant_and_cost(a: Array, b: Array, q: Array, r: Array, n: Array, 
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
     phi, cost = _compute_transition_matrix_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
     with np.errstate(over="ignore", invalid="ignore"):  # `_build_discretized_plant_and_cost` rejects overflow
-        for _ in range(halvings):  # doubling keeps growing and decaying exponentials in separate matrices
+        for _ in range(halvings):  # doubling never multiplies growing by decaying exponentials
             cost = cost + phi.T @ cost @ phi
             phi = phi @ phi
     return _build_discretized_plant_and_cost(phi, cost, a.shape[0], dt)

@@ -90,7 +90,7 @@ def plot_costates(
 
 
 def find_negligible_costates(phases: Sequence[PhaseSolution]) -> dict[str, float]:
-    """Return by state the costate that is rounding: 1e-9 of the largest effect of any costate over its state's size."""
+    """Return by state the limit of negligible costates: 1e-9 of the largest |state| |costate|, divided by |state|."""
     sizes = {
         (phase.name, v.name): [
             np.max(np.abs(p(phase.point_times)[phase.states.slice(v.name)])) for p in (phase.x, phase.lam)
@@ -103,7 +103,7 @@ def find_negligible_costates(phases: Sequence[PhaseSolution]) -> dict[str, float
 
 
 def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Figure | None:
-    """Return a figure of the path constraints over time, one axis each; None if there are none but equations.
+    """Return a figure of the path constraints over time, one axis each; None if all of them are equalities.
 
     Limits are dashed; shaded times are those at which the constraint is active.
 

@@ -34,7 +34,7 @@ DENSITY, SCALE_HEIGHT = 1.225, 7200.0
 HEATING = 1.7415e-8 / np.sqrt(0.03)
 """W/cm^2 per (kg/m^3)^(1/2) (m/s)^3: nose radius 3 cm."""
 MAX_HEATING, MAX_PRESSURE, MAX_LOAD, GRAVITY = 900.0, 60e3, 3.0, 9.81
-"""W/cm^2, Pa, in units of the fourth, m/s^2."""
+"""W/cm^2, Pa, multiples of ``GRAVITY``, m/s^2."""
 DEGREE = np.pi / 180
 ZONES = ((22.0, -2.2, 3.0), (38.0, 4.2, 3.0))
 """Longitude, latitude and radius, degrees."""

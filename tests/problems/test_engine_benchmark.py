@@ -75,7 +75,7 @@ def test_the_page_shows_every_problem_with_picture_and_result() -> None:
 @pytest.mark.parametrize(
     ("row", "shown"),
     [
-        (engine.Row("", "zermelo", ok=True, minimum=True), "minimum"),
+        (engine.Row("", "zermelo", ok=True, minimum=True), "optimum"),
         (engine.Row("", "zermelo", ok=True), "necessary conditions"),
         (
             engine.Row("", "zermelo", note="active set 1.0e-05; dynamics 2.3e-02"),

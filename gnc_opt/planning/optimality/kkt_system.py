@@ -31,7 +31,7 @@ from gnc_opt.planning.transcription.transcription import Transcription, transcri
 
 @dataclass(frozen=True, eq=False)
 class ProgramLimits:
-    """Scaled limits of variables or rows; ``active`` (n,): the multiplier exceeds the distance, or limits are equal."""
+    """Scaled limits of variables or rows; ``active`` (n,): equal limits, or a multiplier larger than the distance."""
 
     box: Interval
     active: Mask
@@ -129,7 +129,7 @@ class ProgramPoint:
         )._estimate_junction_multipliers()
 
     def _estimate_junction_multipliers(self) -> ProgramPoint:
-        """Return the point with the multipliers of its junctions, from the gradient without costate jumps."""
+        """Return the point with the junction multipliers for which the Lagrangian is stationary in the states there."""
         if not self.transcription.junctions:
             return self
         met = [
@@ -233,8 +233,8 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,).
 
     The rows of a collocated program are banded (Cuthill & McKee), except for those of quantities common to a whole
-    phase, such as a free final time. These come last and are scaled down, so that they are pivots before the end only
-    if the band alone is singular.
+    phase, such as a free final time. These come last and are scaled down, so that they become pivots early only if the
+    band alone is singular.
     """
     matrix = scipy.sparse.csr_array(matrix)
     dense = np.diff(matrix.indptr) > DENSE
@@ -262,9 +262,9 @@ class NullSpace:
     """Variations of a program in which some variables and ``rows`` are fixed.
 
     Variations are relative to the scales, with weights for which the sum of squares is an integral over time; ``unit``
-    (n_variables, n_variations; sparse) has the scaled variables of each. ``jacobian`` (sparse) contains the Jacobian of
-    the fixed rows, scaled by the ``norms`` of their gradients, then fixed variables that variations would change, and
-    additional rows.
+    (n_variables, n_variations; sparse) has the scaled variables of each. ``jacobian`` (sparse) contains the
+    gradients of the fixed rows, divided by their ``norms``, then those of fixed variables that variations would change,
+    then additional rows.
     """
 
     unit: Any
@@ -305,7 +305,7 @@ class NullSpace:
         """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]
         matrix = build_kkt_matrix(hessian, self.jacobian)
-        # With unit gradients, dependent rows are harmless; in moving frames they are nearly dependent.
+        # With rows of unit norm, this slack makes dependent rows harmless; in moving frames they are nearly dependent.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, NEGLIGIBLE * ROUNDING))
         return matrix, factorise_symmetric_matrix(matrix - slack)
 

@@ -34,7 +34,7 @@ COSTATE_ERROR_WEIGHT = 20.0
 
 @dataclass(frozen=True, eq=False)
 class PhaseError:
-    """The error estimate of one phase by row (states, integrals; states, controls, paths; states) and segment.
+    """Error estimate of one phase by segment (column); ``overshoot`` has rows of states, controls and path constraints.
 
     ``integral_scale`` and ``path_scale`` are the magnitudes of integrals and path constraints.
     """

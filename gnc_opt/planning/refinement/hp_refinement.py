@@ -43,7 +43,7 @@ STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""
 
 NEAR_TOLERANCE_RATIO = 30.0
-"""Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
+"""Ratio of target error to tolerance below which the tolerance is the target, which saves a further pass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class _Refinement:
     found: list[_MeshSolution] = field(default_factory=list)
 
     def rank_mesh_solution(self, k: int) -> tuple[bool, float]:
-        """Return the key by which a solution within the tolerance, or with a small error of the objective, is first."""
+        """Return the sort key: solutions within the tolerance first, then by the error of the objective."""
         solution, record = self.found[k].solution, self.found[k].record
         error = solution.objective_error.absolute_error if record.solved else np.inf
         return not record.solved or record.error > self.tol, error
@@ -200,7 +200,7 @@ SWITCH_ESTIMATE_ERROR_SHARE = 0.05
 """Largest error of a switch's estimated time, relative to its segment."""
 
 KINK_ESTIMATE_ORDER = 2.0
-"""Order of convergence of a kink's estimated time in the length of its interval, relative to the phase."""
+"""Error of a kink's estimated time over the square of the length of its interval, both relative to the phase."""
 
 SEGMENT_MAX_KINKS = 3
 """Largest number of kinks in one segment; more indicate chatter or noise."""

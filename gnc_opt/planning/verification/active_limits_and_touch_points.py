@@ -42,8 +42,8 @@ def compute_touch_point_lagrangian(
 ) -> Array:
     """Return the change of the Lagrangian due to a costate jump (n,), for states (n, n_columns) at its time.
 
-    ``functions`` contain the parameters of each column; the last column is the reference trajectory. A costate
-    jump that no limit explains multiplies the change of the states.
+    ``functions`` contain the parameters of each column; the last column is the reference trajectory. The part
+    of the jump that no active limit explains is multiplied by the change of the states.
     """
     rows, count = StateConstraints(problem, s), x.shape[1]
     shifted = StateConstraints(problem, replace(s, functions=functions))

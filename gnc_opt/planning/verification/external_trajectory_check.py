@@ -97,12 +97,12 @@ MOST_PARTS = 4
 costates may change faster than states."""
 
 INTERPOLATION_GROWTH, HALVED_STEPS, FEWEST_SAMPLES = 4.0, 5, 8
-"""Smallest growth of an interpolation error if every second sample is omitted, number of halvings of the steps that
-must bring it within the tolerance, and smallest number of samples of a phase for this test."""
+"""A failure is due to interpolation if it grows by the first number without every second sample, and if the second
+number of halvings of the steps would remove it; third: smallest number of samples of a phase for this test."""
 
 NEARER = 1e-7, 1e-9
-"""Distances from limits, relative to their scales, above which they are inactive; smaller ones are tried if estimated
-multipliers act away from the limit. Near a touch point, fine samples are closer than the accuracy of other tools."""
+"""Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one if an
+estimated multiplier has the wrong sign, because dense samples near a touch point are closer to it than the default."""
 
 Values = Any
 """Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
@@ -117,8 +117,8 @@ def verify_trajectory(
     Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
 
     The samples are interpolated by polynomials (module `trajectory_fit`). Costates and multipliers are estimated by
-    least squares from adjoint equation, stationarity and transversality (module `multiplier_estimate`). Without
-    such multipliers, conditions fail.
+    least squares from adjoint equation, stationarity and transversality (module `multiplier_estimate`). If no
+    multipliers satisfy these conditions, a condition fails.
 
     Parameters
     ----------

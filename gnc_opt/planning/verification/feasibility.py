@@ -1,9 +1,9 @@
 r"""Feasibility conditions: dynamics, limits, boundary conditions and cost of the trajectory.
 
 Displacements are relative to the reach of the states, cost changes to the cost scale (`optimality_check_scales`).
-A defect of the differential equation is measured by its signed integral over a segment; inside a segment, where it
-changes the cost only to second order, by the square root of the tolerance; and by its effect on the cost,
-:math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
+A defect of the differential equation has three measures: its signed integral over a segment; its running integral
+inside a segment, times the square root of the tolerance, because it changes the cost only to second order there; its
+effect on the cost, :math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ SCANNED, SCANNED_PATHS = 4096, 32768
 narrow features in time or space, such as a gust or a small keep-out zone."""
 
 MAX_WIDTHS = 100.0
-"""Largest reference magnitude of a limit, in widths of its interval: with the tolerance 1e-5, a thousandth of it."""
+"""Largest reference magnitude of a limit, in interval widths; at the tolerance 1e-5, an excess of 1e-3 widths fails."""
 
 LAYER_STEPS = 512
-"""Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
+"""Smallest number of steps per segment with which an integral is computed again if the scan gives another value."""
 
 
 def check_value_within_tolerance(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:

@@ -6,8 +6,8 @@ Optimization, 2006, theorems 12.5 and 12.6)
 .. math:: d^T \nabla^2 \mathcal L\, d \ge 0 \quad\text{for all } d \text{ in the critical cone}:
           \quad \nabla g_C\, d = 0, \quad d_P = 0,
 
-with the rows C and variables P at their limits; > 0 for all nonzero d is sufficient. The cone is between the space with
-weakly active limits (multiplier zero) as equalities, and the space without them.
+with the rows C and variables P at their limits; > 0 for all nonzero d is sufficient. The cone contains the space in
+which weakly active limits (multiplier zero) are equalities, and is contained in the space without these limits.
 
 The smallest curvature is that of variations of size 1,
 
@@ -66,7 +66,7 @@ SHIFT = 0.1
 """Shift, as a share of the median Hessian row; large compared with curvatures that count as zero."""
 
 STEEP = 1e4
-"""Curvatures larger than this share of the median row are computed separately, since their inverses vanish."""
+"""Multiple of the median row; larger curvatures are computed separately, as the inverse does not resolve them."""
 
 LANCZOS_STEPS = 80
 """Number of Lanczos steps; the extreme eigenvalues of a compact operator converge much earlier."""
@@ -80,8 +80,8 @@ class Curvature:
     """Smallest curvature of the Lagrangian on a linear space of variations.
 
     ``value`` is relative to the median norm of the Hessian rows, NaN without degrees of freedom; ``share`` relative to
-    the sum of its terms. ``direction`` (n_variables,) is scaled, with largest component 1. In the unit of the cost,
-    ``gain`` is its decrease by a step of `GAIN_STEP_SHARE`, ``least_gain`` the smallest one above rounding.
+    the sum of its terms. ``direction`` (n_variables,) is scaled, with largest component 1. ``gain``
+    is the decrease of the cost by a step of `GAIN_STEP_SHARE`, ``least_gain`` the smallest decrease above rounding.
     """
 
     value: float
@@ -102,7 +102,7 @@ class Curvature:
 def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rounding: float) -> CriticalCone:
     """Return the critical cone of a solution, on a mesh that is fine enough for variations.
 
-    Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
+    Variations are scaled by the ranges of states and controls along a phase; ``rounding`` is that of the cost.
     """
     meshes = {
         name: _increase_mesh_degrees_for_variations(phase.mesh) for name, phase in solution.phases.items()
@@ -224,7 +224,7 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
 
 
 def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
-    """Return a control that reaches both bounds without curvature of H and whose switching times are not variables."""
+    """Return a text that names a control with jumps between its bounds at times that are not variables; else ""."""
     for s in samples:
         lower, upper = s.is_at_control_bounds
         open_to_both = mask_zero_hamiltonian_curvature(s)
@@ -268,14 +268,14 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     # A single large row, e.g. of a parameter far from its origin, is not representative.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
     typical = max(typical, point.rounding)  # with vanishing costates, rows are not larger
-    # Integrals of variations have steep rows, independent of the variations.
+    # Rows of the integrals of control variations (Goh) are steep.
     steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
     direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = compute_curvature(hessian, direction)
     whole = np.asarray(space.unit @ direction)
-    # Variations by integrals may have high peaks; these count only if nothing else varies.
+    # Integrals (Goh) may have high peaks, which determine the step only if no single variable varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
     largest = float(np.max(peaks[single], initial=0.0))
     if largest <= ROUNDING * np.max(peaks):
@@ -314,7 +314,7 @@ def _find_direction_of_least_curvature(
 
 
 def _find_negative_curvature_direction(space: NullSpace, hessian: Any) -> Array | None:
-    """Return a direction of large negative curvature, whose inverse vanishes; None without one."""
+    """Return a direction of large negative curvature, which the inverse does not resolve; None without one."""
     project = space.invert_projected_hessian()
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
