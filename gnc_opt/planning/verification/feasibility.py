@@ -33,6 +33,7 @@ from gnc_opt.planning.solution.defects_and_violations import (
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
 SCANNED, SCANNED_PATHS = 4096, 32768
@@ -260,7 +261,9 @@ def check_boundary_conditions(
         of = "initial time", "final time", "duration", "start of the trajectory", "end of the trajectory"
         labels = [f"phase {phase.name}, {what}" for what in of]
         values = np.concatenate([times, [phase.duration], gaps])
-        worst = worst.select_larger(_find_bound_violation(values, box, lasts, labels, ("s",) * 5))
+        worst = worst.select_larger(
+            _find_bound_violation(values, box, lasts, labels, (time_unit(solution),) * 5)
+        )
     worst = worst.select_larger(
         _find_boundary_violation(*_list_boundary_values(solution, samples, ends), scales)
     )
@@ -281,9 +284,9 @@ def _cap_scale_by_interval_width(scale: Array, box: Interval) -> Array:
 
 def _list_boundary_values(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
-) -> tuple[list[str], Array, Array, Interval]:
-    """Return labels, values, multipliers and limits of boundary constraints, then of start and end of each phase."""
-    labels = [f"constraint {label} off by {{:.3g}}" for label in solution.constraint_labels]
+) -> tuple[list[tuple[str, str]], Array, Array, Interval]:
+    """Return labels, units, values, multipliers and limits of boundary constraints, then of start and end states."""
+    labels = [(f"constraint {label}", "") for label in solution.constraint_labels]
     values, multipliers = [ends.constraints], [solution.constraint_multipliers]
     boxes = [solution.need_problem("verify").get_boundary_constraint_bounds()]
     for s in samples:
@@ -293,13 +296,13 @@ def _list_boundary_values(
         multipliers += [s.has_duration * gap for gap in gaps]
         boxes += [phase.initial_bounds, phase.final_bounds]
         for end in ("start", "end"):
-            for state, unit in zip(phase.states.labels, phase.states.units, strict=True):
-                labels.append(f"phase {name}, {end}, {state} off by {{:.3g}} {unit}".rstrip())
+            states = zip(phase.states.labels, phase.states.units, strict=True)
+            labels += [(f"phase {name}, {end}, {state}", unit) for state, unit in states]
     return labels, np.concatenate(values), np.concatenate(multipliers), stack_intervals(boxes)
 
 
 def _find_boundary_violation(
-    labels: list[str], values: Array, multipliers: Array, box: Interval, scales: Scales
+    labels: list[tuple[str, str]], values: Array, multipliers: Array, box: Interval, scales: Scales
 ) -> Worst:
     """Return the distance of end states and boundary constraints to their limits, or its effect on the cost."""
     gramian, _, terms = scales.boundary[1.0]
@@ -318,7 +321,11 @@ def _find_boundary_violation(
         ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(used, used)], np.ones(int(np.sum(used))))
         together = float(ellipsoid.normalise_displacement(np.copysign(share, miss)[used]))
     i = int(np.argmax(np.fmax(share, price)))
-    return Worst(max(together, float(price[i])), labels[i].format(excess[i]))
+    return Worst(max(together, float(price[i])), _describe_violation(*labels[i], excess[i]))
+
+
+def _describe_violation(label: str, unit: str, excess: float) -> str:
+    return f"{label} off by {excess:.3g} {unit}".rstrip() if np.isfinite(excess) else f"{label} is not finite"
 
 
 def check_reported_cost(
@@ -369,9 +376,8 @@ def _find_bound_violation(
     excess = interval.compute_bound_violation(values)
     scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / replace_zeros_by_one(scale)
-    violation = np.where(np.isnan(values), np.inf, violation)
+    excess, violation = (np.where(np.isnan(values), np.inf, v) for v in (excess, violation))
     if not np.any(violation > 0):
         return NOTHING
     i = int(np.argmax(violation))
-    unit = f" {units[i]}" if units[i] else ""
-    return Worst(float(violation[i]), f"{labels[i]} off by {excess[i]:.3g}{unit}")
+    return Worst(float(violation[i]), _describe_violation(labels[i], units[i], excess[i]))

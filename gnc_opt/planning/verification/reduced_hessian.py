@@ -120,12 +120,9 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    cone = CriticalCone.from_program_point(
-        ProgramPoint.from_solution(solution, meshes, choose_variation_scales, rounding)
-    )
-    return fix_constraints_at_arc_entries(
-        transform_to_goh_variables(fix_vector_control_directions(cone, samples), samples), samples
-    )
+    point = ProgramPoint.from_solution(solution, meshes, choose_variation_scales, rounding)
+    cone = fix_vector_control_directions(CriticalCone.from_program_point(point), samples)
+    return fix_constraints_at_arc_entries(transform_to_goh_variables(cone, samples), samples)
 
 
 def estimate_cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:

@@ -94,9 +94,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.select_larger(
-            Worst(np.inf, "the problem and the solution optimise in opposite directions")
-        )
+        worst = Worst(np.inf, "the problem and the solution optimise in opposite directions")
     for name, phase in checked.phases.items():
         for what in _EXACT:
             values = (_get_stored_value_arrays(owner, what) for owner in (stored.phases[name], phase))

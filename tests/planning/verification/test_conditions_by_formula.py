@@ -144,12 +144,12 @@ def test_boundary_values_by_slope_curvature_and_price() -> None:
         boundary = {1.0: (np.diag(first) ** 2, np.array(second), np.array([0.0, 1e12]))}
         own = fake(cost=5.0, boundary=boundary)
         return feasibility._find_boundary_violation(
-            ["p {:.3g}", "q {:.3g}"], np.array(values), prices, box, own
+            [("p", "m"), ("q", "")], np.array(values), prices, box, own
         )
 
     assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))
-    assert violation([-4.0, 0.5]).where == "p 3"
-    assert (violation([1.0, -3.0]).value, violation([1.0, -3.0]).where) == (0.5, "q 2")
+    assert violation([-4.0, 0.5]).where == "p off by 3 m"
+    assert (violation([1.0, -3.0]).value, violation([1.0, -3.0]).where) == (0.5, "q off by 2")
     assert violation([4.0, 0.0], price=20.0).value == pytest.approx(20 * 3 / 5)
     assert violation([4.0, 0.0], first=(0.0, 4.0), second=(0.0, 0.0)).value == np.inf
     assert violation([np.nan, 0.0]).value == np.inf
