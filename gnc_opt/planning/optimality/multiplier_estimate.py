@@ -279,7 +279,7 @@ def _fit_multipliers(
 def _fit_multipliers_with_right_signs(
     form: _CostateFit, first: Array, limits: _ActiveSet, row_limits: _ActiveSet, size: float
 ) -> Array | None:
-    """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
+    """Return unknowns of admissible sign from a linear program, if these fit equally well."""
     n_rows = limits.is_at_any_limit.size
     left, imposed = form.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
     if not max_norm(left[imposed]) <= NEGLIGIBLE * size:  # the sign does not matter
@@ -386,5 +386,5 @@ def _estimate_variable_scales(
             scales[places] = np.where(varies > SPAN_MIN_SHARE * size, varies, still)[:, None]
         scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
-    # Rounding errors of an idle variable are no variation.
+    # Rounding errors of a constant variable are no variation.
     return np.fmax(scales, NEGLIGIBLE * choose_variable_scales(transcription, problem, x))

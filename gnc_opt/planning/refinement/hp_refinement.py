@@ -199,7 +199,7 @@ SMOOTHNESS_MIN_DEGREE = 5
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
 """Largest error of a switch's estimated time, relative to its segment."""
 
-KINK_ESTIMATE_ORDER = 2.0
+KINK_ERROR_FACTOR = 2.0
 """Error of a kink's estimated time over the square of the length of its interval, both relative to the phase."""
 
 SEGMENT_MAX_KINKS = 3
@@ -355,7 +355,7 @@ def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float)
         if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
             return start, end
     zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
-    margin = min(SWITCH_ESTIMATE_ERROR_SHARE, KINK_ESTIMATE_ORDER * (end - start) / duration) * (end - start)
+    margin = min(SWITCH_ESTIMATE_ERROR_SHARE, KINK_ERROR_FACTOR * (end - start) / duration) * (end - start)
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 

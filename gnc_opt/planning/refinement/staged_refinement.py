@@ -2,9 +2,9 @@
 
 ``docs/refinement.md`` lists the stages. Every converged solution is a `Candidate`. The first one that passes the
 optimality check with local errors within the tolerance is returned at once; without a check, the first one whose
-estimated error of the objective is within the tolerance. If another stage on the first
-mesh finds a lower cost, the first stage is repeated from its solution, and finer stages start from it. At the end, at
-limits and after Ctrl-C the best candidate is returned (`best_solution_selection.select_best_candidate`).
+estimated error of the objective is within the tolerance. If another stage on the first mesh finds a lower cost, the
+first stage is repeated from its solution, and finer stages start from it. At the end, at limits and after Ctrl-C the
+best candidate is returned (`best_solution_selection.select_best_candidate`).
 """
 
 from __future__ import annotations

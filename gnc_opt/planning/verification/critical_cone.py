@@ -120,8 +120,8 @@ class CriticalCone:
     """Variations of a point that are free to first order.
 
     ``strong`` and ``weak`` (n_variables + n_constraints,) are fixed variables and rows, and those at a limit with zero
-    multiplier, which may leave it to one side. ``unit`` (sparse) are scaled variables per unit variation, if not one
-    for each (module `goh_transformation`); ``further`` (sparse) are active conditions that are not rows of the program.
+    multiplier, which may leave it to one side. ``unit`` (sparse) are the scaled variables of each variation (module
+    `goh_transformation`; None: one variable each); ``further`` (sparse) are active conditions that are no program rows.
     """
 
     point: ProgramPoint
@@ -162,9 +162,9 @@ class CriticalCone:
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def is_curvature_multiplier_dependent(self, direction: Array) -> bool:
-        """Return whether multipliers that are not unique change the curvature along a direction.
+        """Return whether the curvature along a direction depends on the choice of multipliers that are not unique.
 
-        Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
+        Inverse iteration finds a change of the multipliers that preserves the first-order conditions.
         """
         space = NullSpace.with_fixed_variables(self.point, self.strong | self.weak)
         solve = space.projection_factors[1]

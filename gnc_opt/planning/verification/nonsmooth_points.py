@@ -47,7 +47,7 @@ SAME_RATIO = 0.3
 
 @dataclass(frozen=True)
 class KinkPoint:
-    """Worst nonsmooth point: size, location, whether it is a crossed jump, in states, and of known consequence."""
+    """Worst nonsmooth point: a crossed ``jump``, ``of_states`` or of controls alone, ``resolved``: of known effect."""
 
     value: float
     where: str
@@ -75,7 +75,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
 
 
 def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
-    """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
+    """Return the condition; it affects only ``minimum`` if nothing jumps and no other condition ``fails``."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", KINKS)
     if falls:
@@ -123,7 +123,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         if find_nonsmooth_operations(problem, problem.phases[s.phase.name]) is not None:
             moves = axes @ _build_unit_directions(axes.shape[1])[0]
         along = _compute_hamiltonian_differences_by_step(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
-        # A kink that sums and differences of axes and fixed directions meet is met by some of these, too.
+        # If sums and differences of directions meet a kink, some of these directions meet it, too.
         if np.any(_mask_kinks(along[0], along[1], scales.cost)):
             along = _compute_hamiltonian_differences_by_step(s, moves)
         found.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", along))
@@ -141,7 +141,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
 
 
 class _CombinedDirections(EndPoints):
-    """End points of which differences are along combinations of the given moves."""
+    """End points whose differences are evaluated along combinations of the given moves."""
 
     def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         return super()._compute_endpoint_finite_differences(moves @ _build_unit_directions(moves.shape[1])[0])

@@ -108,7 +108,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     Raises
     ------
     GncOptError
-        The solution has no problem, one of other sizes, or is not a solution.
+        The argument is not a solution, has no problem, or has one with other variables.
 
     Examples
     --------
@@ -238,7 +238,7 @@ def _check_second_order_and_switching_times(
 
 
 def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) -> Condition:
-    """Return a condition that names the undetermined singular arcs, independent of its result."""
+    """Return a condition that names the undetermined singular arcs, whatever its result."""
     arcs = next((c for c in parts if c.name == SINGULAR_ARCS), None)
     if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
         return condition

@@ -8,7 +8,7 @@ that contains :math:`u_S`, the 2k-th for jointly appearing controls, defines the
 .. math:: \frac{\partial}{\partial u_S}\frac{d^j\phi}{dt^j} = 0 \text{ for } j < 2k, \qquad
           K = (-1)^k \frac{\partial}{\partial u_S}\frac{d^{2k}\phi}{dt^{2k}} \ge 0;
 
-for j = 1 this is Goh's condition. K > 0 is the strengthened form. SwitchingFunctionDerivatives are symbolic, along
+for j = 1 this is Goh's condition. K > 0 is the strengthened form. The time derivatives are symbolic, along
 :math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant at their bounds, or vary so
 that their :math:`\partial H/\partial u` stays zero. They are scaled by H, control ranges and powers of the arc length.
 """

@@ -79,7 +79,7 @@ def get_endpoint_gradients(solution: Solution) -> EndGradients:
 
 
 def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
-    """Return the first number that is not finite, as an infinite violation, or zero; without costates, of others."""
+    """Return the first number that is not finite, as an infinite violation, else zero; costates only on request."""
     worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, phase in stored.phases.items():
         worst = worst.select_larger(_find_first_nonfinite_value(phase, f"phase {name}, ", with_costates))
@@ -137,7 +137,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
 def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
     """Return whether costates can be checked; all may be zero only in special cases.
 
-    These are an integral with a weight, or a cost of magnitude ``amount`` that is nearly independent of the end points.
+    In these, an integral has a weight, or the cost of magnitude ``amount`` is nearly independent of the end points.
     """
     values = [v for s in samples for v in s.phase.lam.values]
     if any(np.any(np.isfinite(v) & (v != 0)) for v in values):

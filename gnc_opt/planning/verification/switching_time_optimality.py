@@ -118,7 +118,7 @@ def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) 
     near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
     sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
     lower, upper = s.phase.control_bounds.is_near_limits(s.u, AT_LIMIT * np.max(np.abs(s.u), axis=1))
-    # Beside the end of an arc at a limit its multiplier may be next to nothing.
+    # Near the end of an arc at a limit, its multiplier may be negligible.
     pushed = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
     between = ~(lower | upper) & pushed
     held = [mask_controls_set_by_active_limits(problem, s, s.times[at]) | between[:, at] for at in sides]

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import (
     compute_costate_residual,
 )
 from gnc_opt.planning.refinement.hp_refinement import (
-    KINK_ESTIMATE_ORDER,
+    KINK_ERROR_FACTOR,
     Kink,
     _bracket_activation_time,
     choose_mesh_breaks_around_kinks,
@@ -332,7 +332,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
         start, end = _bracket_activation_time(times, pull, 1, duration)
         assert 0.5 * (start + end) == pytest.approx(zero) and times[1] <= start < end <= times[at + 1]
     assert end - start == pytest.approx(
-        2 * KINK_ESTIMATE_ORDER * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
+        2 * KINK_ERROR_FACTOR * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
     )
 
 
@@ -342,7 +342,7 @@ def test_multipliers_point_at_the_end_of_an_arc(side: int) -> None:
     times, pull = np.arange(4.0), np.array([3.0, 1.0, 0.0, 0.0])[::side]
     start, end = _bracket_activation_time(times, pull, 1, 1e3)
     assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(
-        2 * KINK_ESTIMATE_ORDER / 1e3
+        2 * KINK_ERROR_FACTOR / 1e3
     )
 
 

@@ -23,7 +23,7 @@ Touch: TypeAlias = "tuple[int, ArcKind]"
 """Touch of a limit: row and limit."""
 
 ControlEffect: TypeAlias = "tuple[int, int]"
-"""Control, and sign of the derivative of a row, or of its time derivative of its order, in it; 0 if it changes."""
+"""Control, and sign of its effect on a row, or on the time derivative of the row's order; 0 if the sign changes."""
 
 Correction: TypeAlias = "tuple[PhaseStructure | None, str]"
 """Corrected structure, None if there is nothing to correct, and the action."""

@@ -108,7 +108,7 @@ def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> Correction
 def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
-    A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
+    While a polynomial is between the bounds, the switching function has the sign of that bound at every degree.
     """
     samples = constraints.samples
     bounds, subarcs = samples.phase.control_bounds, plan.segment_subarc_indices[samples.segments]
@@ -136,7 +136,7 @@ def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Corre
         find_linear_path_constraints(samples),
     )
     extended = limits.insert_control_arc(plan.structure, row, at, interval, kind)
-    if extended == plan.structure:  # between boundaries that are a rounding apart
+    if extended == plan.structure:  # between boundaries that differ by rounding
         return None, ""
     label = samples.phase.controls.labels[row]
     return extended, f"arc of {label} added at {samples.describe_times(interval[0])}"

@@ -48,7 +48,7 @@ SIMPLIFIED_NEWTON_MAX_STEPS = 12
 """Largest number of steps with reused matrices."""
 
 NEWTON_REMAINDER_FACTOR = 100.0
-"""Estimated ratio of the error after a Newton step to the step, per step length relative to the phase."""
+"""Estimated error after a Newton step over the square of the step length, both relative to the phase."""
 
 GUESS_ACCURACY = 1e-8
 """Relative accuracy of the cost of a trajectory that is the initial guess of a collocated problem."""
