@@ -171,6 +171,12 @@ class Verdict:
         return self.ok and checked and not self.inconclusive
 
     @property
+    def smallest_tolerance(self) -> float:
+        """Smallest tolerance at which the first-order conditions hold; infinite without costates."""
+        values = [c.value for c in self.conditions if c.name in FIRST_ORDER]
+        return max((math.inf if math.isnan(v) else v for v in values), default=math.inf)
+
+    @property
     def failed(self) -> tuple[Condition, ...]:
         """Failed conditions."""
         return tuple(c for c in self.conditions if c.result is ConditionResult.FAIL)
