@@ -13,7 +13,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import record_iterat
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_summary import SUMMARY_MAX_NAMES
+from gnc_opt.planning.solution.solution_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
 from gnc_opt.planning.verification.minimum_principle import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
 
@@ -118,8 +118,8 @@ class Candidate:
         margin = SMALL * other.solution.objective_error.scale
         return self.is_solved and self.minimised_cost < other.minimised_cost - margin
 
-    def has_lower_cost(self, other: Candidate) -> bool:
-        """Return whether the solution has a lower minimum."""
+    def has_lower_cost(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
+        """Return whether the solution has a lower minimum; use a larger margin if only the other passes the check."""
         if not self.minimised_cost < other.minimised_cost:
             return False
         ours, theirs = (
@@ -128,8 +128,7 @@ class Candidate:
         )
         least = SMALL if other.is_verdict_ok and not self.is_verdict_ok else self.largest_local_error
         least *= abs(other.minimised_cost)
-        ours, theirs = CANDIDATE_ERROR_MARGIN * ours, CANDIDATE_ERROR_MARGIN * theirs
-        return self.minimised_cost + max(ours, least) < other.minimised_cost - theirs
+        return self.minimised_cost + max(margin * ours, least) < other.minimised_cost - margin * theirs
 
 
 def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
@@ -180,7 +179,18 @@ def build_best_solution(
     )
     solution = best.solution
     provenance = {**solution.provenance, "stage": best.stage}
+    provenance |= _describe_lower_cost_on_coarse_mesh(candidates, best)
     return replace(solution, history=history, provenance=provenance).with_verdict(verdict)
+
+
+def _describe_lower_cost_on_coarse_mesh(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+    """Return a hint at a coarse solve with a lower objective, beyond the estimated errors of both; empty if none."""
+    lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
+    if not lower:
+        return {}
+    least = min(lower, key=lambda c: c.minimised_cost)
+    text = f"objective {least.solution.objective:.6g} on a coarse mesh (stage {least.stage}): try multistart"
+    return {BETTER_COARSE_SOLVE: text}
 
 
 def _choose_refinement_status(

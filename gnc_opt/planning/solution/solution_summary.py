@@ -16,6 +16,9 @@ LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
 """Largest number of violated constraints that are named."""
 
+BETTER_COARSE_SOLVE = "also seen"
+"""Key of the provenance: a better solution on a coarse mesh during the refinement, possibly another minimum."""
+
 MOVED_START = "start"
 """Key of the provenance: initial states that were moved to a bound."""
 
@@ -157,6 +160,8 @@ def _summarise_refinement(solution: SolutionLike) -> Iterator[tuple[str, str]]:
         yield MOVED_START, notes[MOVED_START]
     if history is None:
         return
+    if BETTER_COARSE_SOLVE in notes:
+        yield BETTER_COARSE_SOLVE, notes[BETTER_COARSE_SOLVE]
     final, count = history.final_iteration, pluralise_noun(len(history.passes), "iteration")
     text = f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, {count}"
     yield "refinement", text + ("" if history.converged else f"; {final.where}")

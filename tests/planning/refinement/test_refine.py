@@ -21,6 +21,7 @@ from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
 from gnc_opt.planning.refinement import best_solution_selection
 from gnc_opt.planning.refinement.best_solution_selection import (
     Candidate,
+    _describe_lower_cost_on_coarse_mesh,
     select_best_candidate,
 )
 from problems.classics import van_der_pol
@@ -304,7 +305,7 @@ def candidate(
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
     made.get_errors_for_solution_ranking = lambda tol: Candidate.get_errors_for_solution_ranking(made, tol)
-    made.has_lower_cost = lambda other: Candidate.has_lower_cost(made, other)
+    made.has_lower_cost = lambda other, **margin: Candidate.has_lower_cost(made, other, **margin)
     return made
 
 
@@ -349,6 +350,19 @@ def test_the_loss_is_unknown_if_h_is_not_finite_or_its_decrease_is_not_resolved(
 )
 def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
     assert select_best_candidate(found, tol=1e-8) == kept
+
+
+@pytest.mark.parametrize(
+    ("estimate", "hint"),
+    [
+        (0.05, {"also seen": "objective 1.9 on a coarse mesh (stage 60): try multistart"}),
+        (0.15, {}),  # the difference may be an error of the coarse mesh
+    ],
+)
+def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
+    found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
+    assert select_best_candidate(found, tol=1e-8) == 1
+    assert _describe_lower_cost_on_coarse_mesh(found, found[1]) == hint
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
