@@ -42,12 +42,6 @@ MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
 STAGE_MAX_SHARE = 0.25
 """Largest share of the budget for a switching-time formulation, or for hp refinement in the first stage."""
 
-PROGRAM_MAX_SUBARCS = 80
-"""Largest number of subarcs of a phase with which a switching-time formulation is tried."""
-
-PROGRAM_MAX_FAILURES = 3
-"""Number of failed switching-time formulations after which no other is tried."""
-
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
 """Further mesh tolerances relative to ``tol``, used in turn while only the optimality check fails and each one at least
 halves the estimated error of the objective."""
@@ -144,7 +138,7 @@ class StagedRefinement:
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
     _first: Candidate | None = None
-    _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
+    _solved_orders: list[dict[str, PhaseStructure]] = field(default_factory=list)
 
     def run_stages(self, structure: StructureChoice) -> Solution:
         """Return the best solution that the stages find; see `refine`."""
@@ -222,7 +216,7 @@ class StagedRefinement:
                     first = other
                     yield from self._refine_first_mesh(first)
         middle = yield from self._solve_on_medium_mesh(first.solution)
-        if not any(solved for _, solved in self._tried):
+        if not self._solved_orders:
             yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
@@ -363,9 +357,10 @@ class StagedRefinement:
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
+        """Yield the candidate of the switching-time formulation, unless there are no arcs or it solved their order."""
         found = found or detect_arc_structures(start)
-        if not self._should_solve_with_arcs(found) and share < 1.0:
+        order = {name: structure.with_switch_times(()) for name, structure in found.items()}
+        if share < 1.0 and (not _has_arcs(found) or order in self._solved_orders):
             return
         solution, history = optimise_switching_times(
             start,
@@ -376,23 +371,9 @@ class StagedRefinement:
             progress=self.progress,
             segments=segments,
         )
-        self._tried.append((found, any(p.solved for p in history.passes)))
+        if any(p.solved for p in history.passes):
+            self._solved_orders.append(order)
         yield Candidate(solution, history, stage)
-
-    def _should_solve_with_arcs(self, found: Mapping[str, PhaseStructure]) -> bool:
-        """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
-        if not _has_arcs(found):
-            return False
-        if any(s.n_subarcs > PROGRAM_MAX_SUBARCS for s in found.values()):
-            return False
-        if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
-            return False
-        order = {name: s.with_switch_times(()) for name, s in found.items()}
-        for known, solved in self._tried:
-            known_order = {name: s.with_switch_times(()) for name, s in known.items()}
-            if solved and order == known_order:
-                return False
-        return True
 
 
 def _has_arcs(found: Mapping[str, PhaseStructure]) -> bool:
