@@ -68,6 +68,22 @@ SEARCH_WEIGHTS = {
 }
 """By page or folder; 1 for all others."""
 
+AMERICAN = {
+    "discretis": "discretiz",
+    "initialis": "initializ",
+    "linearis": "lineariz",
+    "maximis": "maximiz",
+    "minimis": "minimiz",
+    "normalis": "normaliz",
+    "optimis": "optimiz",
+    "quantis": "quantiz",
+    "stabilis": "stabiliz",
+    "behaviour": "behavior",
+    "manoeuvre": "maneuver",
+    "neighbour": "neighbor",
+}
+"""American spellings of British beginnings of words, with which the search finds pages as well."""
+
 CLASS_WEIGHT = 3.0
 """Weight of the reference of a public class, for whose name the search lists it below the guides."""
 
@@ -329,7 +345,14 @@ def on_post_build(config: MkDocsConfig) -> None:
         entry["title"] = search_title(entry["title"], entry["location"])
         if re.search(r"^api/.*\.[A-Z]\w*$", entry["location"]):
             entry["boost"] = CLASS_WEIGHT
+        entry["text"] += american_spellings(entry["text"])
     index.write_text(json.dumps(found, separators=(",", ":")), encoding="utf-8")
+
+
+def american_spellings(text: str) -> str:
+    """Return the American spellings of the British words in a text, each after a space, to be found by them."""
+    words = sorted(set(re.findall(rf"\b(?:{'|'.join(AMERICAN)})\w*", text.lower())))
+    return "".join(f" {re.sub('|'.join(AMERICAN), lambda found: AMERICAN[found[0]], word)}" for word in words)
 
 
 def search_title(title: str, location: str) -> str:

@@ -258,7 +258,7 @@ def typeset_variable_name(label: str, *, dotted: bool = False) -> str:
 
 
 def typeset_names_in_html(html: str, names: Iterable[str]) -> str:
-    """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
+    """Return HTML with names of variables outside of tags typeset as in formulas: "b.sigma[0]" is "b σ" with index 1.
 
     Names of one letter without an index may be words: only those that begin a row of a table are typeset. Exponents are
     raised, and negative numbers have a minus sign.
@@ -268,9 +268,10 @@ def typeset_names_in_html(html: str, names: Iterable[str]) -> str:
 
     def typeset_matched_variable_name(found: re.Match[str]) -> str:
         base, marks = split_symbol_and_index(found[0])
+        owner, _, base = base.rpartition(".")
         symbol = _GREEK.get(base, base)
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
-        return symbol + f"<sub>{marks}</sub>" * bool(marks)
+        return f"{owner} {symbol}".lstrip() + f"<sub>{marks}</sub>" * bool(marks)
 
     parts = re.split(r"(?s)(<code>.*?</code>|<pre>.*?</pre>|<[^>]*>)", html)
     parts[::2] = [

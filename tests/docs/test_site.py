@@ -154,6 +154,7 @@ def test_titles_of_hits_name_the_class_of_a_member() -> None:
     address = "api/gnc_opt.html#gnc_opt.planning.optimal_control_solver.solve"
     assert hooks.search_title("solve", address) == "solve"
     assert hooks.search_title("Use <code>solve</code>", "howto/a.html#use") == "Use <code>solve</code>"
+    assert hooks.american_spellings("Linearised about a neighbour.") == " linearized neighbor"
 
 
 def test_no_link_of_a_page_is_lost() -> None:

@@ -111,7 +111,7 @@ def test_campaign_carries_any_run(campaign, tmp_path):
     assert len(page) < LARGEST and "30 of 40 runs" in page
     drawn = campaign.parameters[0]
     row = (
-        "initial.r<sub>1</sub>",
+        "initial <i>r</i><sub>1</sub>",
         5,
         "m",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)),
@@ -149,7 +149,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
                   "<td>normal: standard deviation 0.2, 0.4, 0.1 m, added to the nominal value</td>",
-                  "parameters are initial.r.", "<td>seed</td><td>3</td>", "gain margin up", "<td>final error of r</td>",
+                  "are initial <i>r</i>.", "<td>seed</td><td>3</td>", "gain margin up", "<td>final error of r</td>",
                   f"<h2>Worst run: {worst}</h2><p>This run has the largest value relative to a limit: final error of r",
                       f"and reference in run {worst}.</figcaption>",
                   "go.monte_carlo(loop, 40, seed=3, ...)", "<p>With the same confidence (one-sided), 92."):  # fmt: skip
@@ -198,7 +198,7 @@ def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_p
     k, errors = int(rows[0][0]), campaign.measure("r")
     z = (campaign.parameters[:, k] - campaign.parameters.mean(axis=1)) / campaign.parameters.std(axis=1)
     first, second = np.argsort(-np.abs(z))[:2]
-    names = [f"initial.r<sub>{i + 1}</sub> {z[i]:+.1f}" for i in (first, second)]
+    names = [f"initial <i>r</i><sub>{i + 1}</sub> {z[i]:+.1f}" for i in (first, second)]
     share = f"{100 * errors[k] / 0.69:.3g} %"
     assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69 m", share, "2", ", ".join(names)]
     assert f"Runs beyond a limit: final error of r in {failed.size}." in text
