@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Indices, Mask
 from gnc_opt.model.casadi_expression_graph import collect_casadi_operation_codes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, ROUNDING, set_nonfinite_to_zero
@@ -44,11 +44,12 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     """
     numbers = phase.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
-    rows, rates = problem.memoize(
-        ("rates by controls", phase.name), lambda: _build_rates_of_controlled_states(problem, phase)
+    if not np.any(bounded):
+        return bounded, bounded
+    rates = problem.memoize(
+        ("rates", phase.name),
+        lambda: build_function_along_phase(problem, phase, "rates", phase.model.state_derivative()),
     )
-    if not np.any(bounded[rows]):
-        return _create_all_false_state_mask(phase), _create_all_false_state_mask(phase)
     values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
     loose, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
@@ -58,30 +59,18 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     place = ("one way", phase.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        relaxed, rising, falling = (_create_all_false_state_mask(phase) for _ in range(3))
-        rising[rows] = falling[rows] = bounded[rows]
+        relaxed, rising, falling = np.zeros_like(bounded), bounded, bounded
         while True:  # fewer states are relaxed in every pass
             box = Interval(
                 *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
             )
             rate = bound_function_values(rates, [time, box, *others])
-            rising[rows] &= rate.lower == 0
-            falling[rows] &= rate.upper == 0
+            rising, falling = rising & (rate.lower == 0), falling & (rate.upper == 0)
             if np.array_equal(relaxed, rising | falling):
                 break
             relaxed = rising | falling
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
-
-
-def _create_all_false_state_mask(phase: Phase) -> Mask:
-    return np.zeros(phase.model.states.size, dtype=bool)
-
-
-def _build_rates_of_controlled_states(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
-    rates = phase.model.state_derivative()
-    rows = np.unique(np.array(ca.jacobian_sparsity(rates, phase.model.symbols("control")).row(), dtype=int))
-    return rows, build_function_along_phase(problem, phase, "rates", rates[rows.tolist()])
 
 
 def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:

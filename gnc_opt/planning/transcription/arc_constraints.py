@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,14 +81,31 @@ def impose_state_limits_on_arcs(
 def _find_states_linked_from_bound_arc(phase: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
-    for name in phase.model.states.names:
-        before, jump = phase.find_linked_phase(name) or (None, np.zeros(0))
-        ours = range(phase.model.states.size)[phase.model.states.slice(name)]
-        if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
-            continue
-        theirs = before.numbers.arcs.states[before.model.states.slice(name)]
-        found |= {i for i, row in zip(ours, theirs, strict=True) if row[-1] is held.states[i][0]}
+    for before, theirs, ours in _iterate_linked_states(phase):
+        if before.numbers.arcs is not None and before.numbers.arcs.states:
+            rows = zip(range(phase.model.states.size)[ours], before.numbers.arcs.states[theirs], strict=True)
+            found |= {i for i, row in rows if row[-1] is held.states[i][0]}
     return found
+
+
+def _iterate_linked_states(phase: Phase) -> Iterator[tuple[Phase, slice, slice]]:
+    """Yield the earlier phase of each state linked without a jump, and the indices of the state in both phases."""
+    for name in phase.model.states.names:
+        before, jump = phase.find_linked_phase(name) or (None, None)
+        if before is not None and not np.any(jump):
+            yield before, before.model.states.slice(name), phase.model.states.slice(name)
+
+
+def relax_bounds_of_linked_starts(box: Interval, phase: Phase, collocation: PhaseCollocation) -> None:
+    """Relax bounds of linked states at the start that they have at the end of the earlier phase."""
+    loose = relax_state_bounds(phase)
+    for before, theirs, ours in _iterate_linked_states(phase):
+        places, own, other = collocation.boundary_states[ours, 0], phase.numbers.states, before.numbers.states
+        lower, upper = other.lower[theirs] >= own.lower[ours], other.upper[theirs] <= own.upper[ours]
+        box.lower[places[lower]], box.upper[places[upper]] = (
+            loose.lower[ours][lower],
+            loose.upper[ours][upper],
+        )
 
 
 def relax_bounds_of_monotone_states(
@@ -95,16 +113,15 @@ def relax_bounds_of_monotone_states(
 ) -> None:
     """Relax the bounds of monotone states except at the one end where they are not redundant."""
     rising, falling = find_monotone_states(problem, phase)
-    if not np.any(rising | falling):
-        return
     loose = relax_state_bounds(phase)
-    lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
-    first, last = slice(None, -1), slice(1, None)
-    for ways, with_it, against_it in ((rising, upper, lower), (falling, lower, upper)):
-        for i in np.flatnonzero(ways):
-            boundaries, points = collocation.boundary_states[i], collocation.point_states[i]
-            for (limits, wider), idle in ((with_it, first), (against_it, last)):
-                limits[boundaries[idle]] = limits[points] = wider[i]
+    after, before = slice(1, None), slice(None, -1)
+    for limits, wider, at_start, at_end in (
+        (box.lower, loose.lower, rising, falling & ~rising),
+        (box.upper, loose.upper, falling, rising & ~falling),
+    ):
+        for ways, idle in ((at_start, after), (at_end, before)):
+            for i in np.flatnonzero(ways):
+                limits[collocation.boundary_states[i, idle]] = limits[collocation.point_states[i]] = wider[i]
 
 
 def remove_implied_state_bounds(

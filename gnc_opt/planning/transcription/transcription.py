@@ -34,6 +34,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
     list_junction_derivative_orders,
     list_polynomial_control_nonzeros,
     list_polynomial_controls,
+    relax_bounds_of_linked_starts,
     relax_bounds_of_monotone_states,
     remove_implied_state_bounds,
 )
@@ -365,6 +366,7 @@ class Transcription(NlpLayout):
             (collocation.point_controls, controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
+        relax_bounds_of_linked_starts(box, phase, collocation)
         relax_bounds_of_monotone_states(box, problem, phase, collocation)
         remove_implied_state_bounds(box, problem, phase, collocation)
         check_number_of_arc_segments(phase, collocation)
