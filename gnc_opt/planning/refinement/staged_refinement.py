@@ -138,7 +138,7 @@ class StagedRefinement:
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
     _first: Candidate | None = None
-    _solved_orders: list[dict[str, PhaseStructure]] = field(default_factory=list)
+    _converged_orders: list[dict[str, PhaseStructure]] = field(default_factory=list)
 
     def run_stages(self, structure: StructureChoice) -> Solution:
         """Return the best solution that the stages find; see `refine`."""
@@ -216,8 +216,7 @@ class StagedRefinement:
                     first = other
                     yield from self._refine_first_mesh(first)
         middle = yield from self._solve_on_medium_mesh(first.solution)
-        if not self._solved_orders:
-            yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
+        yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
@@ -357,10 +356,10 @@ class StagedRefinement:
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield the candidate of the switching-time formulation, unless there are no arcs or it solved their order."""
+        """Yield the candidate of the switching-time formulation, if there are arcs whose order has not converged."""
         found = found or detect_arc_structures(start)
         order = {name: structure.with_switch_times(()) for name, structure in found.items()}
-        if share < 1.0 and (not _has_arcs(found) or order in self._solved_orders):
+        if share < 1.0 and (not _has_arcs(found) or order in self._converged_orders):
             return
         solution, history = optimise_switching_times(
             start,
@@ -371,8 +370,8 @@ class StagedRefinement:
             progress=self.progress,
             segments=segments,
         )
-        if any(p.solved for p in history.passes):
-            self._solved_orders.append(order)
+        if history.converged:
+            self._converged_orders.append(order)
         yield Candidate(solution, history, stage)
 
 
