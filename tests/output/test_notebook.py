@@ -59,17 +59,13 @@ def test_solution(solution: go.Solution) -> None:
 
 def test_verdict(solution: go.Solution) -> None:
     verdict = go.verify(solution)
-    tree = parsed(verdict)
-    assert [row[:2] for row in rows(tree)[1:]] == [[c.name, c.result.value] for c in verdict.conditions]
-    assert f"verdict on '{HOSTILE}': {verdict.outcome}" in "".join(tree.itertext())
+    assert "".join(parsed(verdict).itertext()) == str(verdict)
     assert repr(verdict) == f"<verdict on '{HOSTILE}': {verdict.outcome}>"
 
 
-def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) -> None:
-    condition = go.Condition("cost", go.ConditionResult.FAIL, 0.5, 1e-5, HOSTILE, f"It is {HOSTILE}.")
-    passed = go.Condition("cost", go.ConditionResult.PASS, 0.0, 1e-5, HOSTILE, f"It is {HOSTILE}.")
-    assert f"It is {HOSTILE}." in "".join(parsed(go.Verdict(HOSTILE, (condition,))).itertext())
-    assert parsed(go.Verdict(HOSTILE, (passed,))).find("pre") is None
+def test_a_verdict_that_is_not_ok_names_the_place(solution: go.Solution) -> None:
+    condition = go.Condition("cost", go.ConditionResult.FAIL, 0.5, 1e-5, HOSTILE, "It is wrong.")
+    assert HOSTILE in "".join(parsed(go.Verdict(HOSTILE, (condition,))).itertext())
 
 
 def test_run_and_campaign() -> None:

@@ -11,12 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name_error
-from gnc_opt.text_html_and_json_formatting import (
-    format_html_heading,
-    format_html_preformatted,
-    format_html_table,
-    read_status_explanations,
-)
+from gnc_opt.text_html_and_json_formatting import PrintableResult, read_status_explanations
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(PrintableResult):
     """Results of all optimality conditions of a solution.
 
     Attributes
@@ -271,18 +266,6 @@ class Verdict:
 
     def __repr__(self) -> str:
         return f"<verdict on '{self.problem_name}': {self.outcome}>"
-
-    def _repr_html_(self) -> str:
-        """Return HTML for notebooks: all conditions with value and location, and the meaning of failed ones."""
-        rows = [
-            (c.name, c.result.value, format_violation(c.value), f"{c.tolerance:.0e}", c.location_text)
-            for c in self.conditions
-        ]
-        titles = ("condition", "result", "violation", "tolerance", "location")
-        heading = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}")
-        shown = heading + format_html_table(titles, rows)
-        passed = all(c.result is ConditionResult.PASS for c in self.conditions)
-        return shown if passed else shown + format_html_preformatted(self.explain())
 
 
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}

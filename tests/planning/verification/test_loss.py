@@ -54,7 +54,7 @@ def test_the_loss_is_what_the_flight_falls_short(sign: float, off: float) -> Non
     assert all(c.loss is None for c in verdict.conditions if c.name != "minimum principle")
     if off:
         assert condition.location_text.endswith("; costs 0.38 m")
-        for text in (verdict.explain(), verdict.table(), verdict._repr_html_()):
+        for text in (verdict.explain(), verdict.table()):
             assert "costs 0.38 m" in text
 
 
