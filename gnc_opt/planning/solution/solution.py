@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -428,17 +428,15 @@ class Solution(PrintableResult):
 
 
 def _extract_phase_trajectory(solved: PhaseSolution, phase: Phase) -> TrajectoryPhase:
-    restatement = phase.restatement
-    model = phase.model if restatement is None else restatement.model
+    model = phase.model if phase.restatement is None else phase.restatement.model
     names = model.parameters.names
     values = {name: solved.parameters[solved.model_parameters.slice(name)] for name in names}
-    if restatement is None:
-        control: Callable[[Array], Array] = solved.applied
-    else:
-        signals = [solved.saturated_control(name) for name in model.controls.names]
+    signals = [solved.saturated_control(name) for name in model.controls.names]
 
-        def control(times: Array) -> Array:
-            return np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
+    def evaluate_stated_controls(times: Array) -> Array:
+        return np.concatenate(
+            [np.zeros((0, times.size)), *(np.atleast_2d(signal(times)) for signal in signals)]
+        )
 
     return TrajectoryPhase(
         solved.name,
@@ -447,7 +445,7 @@ def _extract_phase_trajectory(solved: PhaseSolution, phase: Phase) -> Trajectory
         solved.final_time,
         solved.applied.jump_times,
         solved.x,
-        control,
+        evaluate_stated_controls,
     )
 
 
