@@ -52,9 +52,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 
-TOUCH_MAX_ORDER = 3
-"""Largest order of a state constraint."""
-
 
 @dataclass(frozen=True, eq=False)
 class StateConstraints:
@@ -89,8 +86,7 @@ class StateConstraints:
         box = self.constraint_row_bounds
         if not box.lower[row] < box.upper[row] or not self.list_finite_limits(row):
             return 0
-        order = self.get_constraint_order(row).order or 0
-        return order if order <= TOUCH_MAX_ORDER else 0
+        return self.get_constraint_order(row).order or 0
 
     def rank_controls_by_constraint_effect(self, row: int) -> tuple[tuple[int, int], ...]:
         """Return the controls that can keep a row at its limit, and the signs of their effects on it; 0 if it varies.
