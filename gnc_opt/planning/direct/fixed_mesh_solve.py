@@ -25,9 +25,8 @@ from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.initial_nlp_point import (
-    InitialNlpPoint,
     build_nlp_point_from_guess,
-    choose_initial_nlp_point,
+    choose_initial_variables,
     fix_mesh_breaks,
     guess_from_solution,
 )
@@ -131,7 +130,7 @@ class _FixedMeshSolve:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
         setup = self.problem, self.meshes, self.scheme, guess, self.options
         attempt = ScaledNlp.from_problem(*setup, progress=self.progress)
-        point = attempt.build_scaled_nlp_point(attempt.start)
+        point = attempt.build_scaled_nlp_point(attempt.start, attempt.known)
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.budget.deadline, attempt.solver.compute_deadline() - earlier_s)
@@ -181,7 +180,7 @@ class _SolveAttempts:
             return
         simulated = with_simulated_guess(self.attempt.problem)
         if simulated is not None:
-            start = choose_initial_nlp_point(self.attempt.transcription, simulated, None)
+            start = choose_initial_variables(self.attempt.transcription, simulated)
             self._solve_nonlinear_program(self.attempt.build_scaled_nlp_point(start), most=most)
         if not self._is_solve_finished:
             self._solve_from_feasible_points()
@@ -235,12 +234,12 @@ class _SolveAttempts:
     def _solve_from_feasible_points(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
-        starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start.x)
+        starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start)
         for variables, held in starts:
-            point = attempt.build_scaled_nlp_point(InitialNlpPoint(variables), held=held, with_cost=False)
+            point = attempt.build_scaled_nlp_point(variables, held=held, with_cost=False)
             met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                there = attempt.build_scaled_nlp_point(InitialNlpPoint(met.x * attempt.scaling.variables))
+                there = attempt.build_scaled_nlp_point(met.x * attempt.scaling.variables)
                 self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return

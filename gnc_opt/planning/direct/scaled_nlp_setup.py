@@ -10,12 +10,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.array_types import Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.constraint_violation_diagnosis import list_iterate_violations
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import InitialNlpPoint, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import (
+    build_nlp_point_from_solution,
+    choose_initial_variables,
+)
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions, unwrap_angle_controls
@@ -32,6 +35,7 @@ ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 class ScaledNlp:
     """Nonlinear program of a problem on given meshes, with numbers, scaling and initial point.
 
+    ``start`` (n_variables,) is that of a ``known`` solution, with its multipliers, or of the problem's guess.
     ``options`` are those of the user (those of the solver may be adapted to the mesh), ``build_s`` the wall time of the
     preparation, s; ``reused`` indicates a solver of an earlier solve, ``progress`` the display of iterations.
     """
@@ -41,7 +45,8 @@ class ScaledNlp:
     solver: NlpSolver
     options: SolverOptions
     scaling: Scaling
-    start: InitialNlpPoint
+    start: Array
+    known: NlpIterate | None
     build_s: float
     reused: bool
     progress: bool = False
@@ -68,31 +73,37 @@ class ScaledNlp:
         if not (reused := key in transcription.built):
             transcription.built[key] = NlpSolver(transcription.nlp, suited)
         solver: NlpSolver = transcription.built[key]
-        start = choose_initial_nlp_point(transcription, problem, guess)
-        scales = choose_variable_scales(transcription, problem, start.x)
-        scaling = Scaling(scales, *choose_row_scales(transcription, problem, start.x, scales))
+        known = None if guess is None else build_nlp_point_from_solution(transcription, problem, guess)
+        start = choose_initial_variables(transcription, problem) if known is None else known.x
+        scales = choose_variable_scales(transcription, problem, start)
+        scaling = Scaling(scales, *choose_row_scales(transcription, problem, start, scales))
         build_s = time.perf_counter() - begin
-        return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
+        return cls(transcription, problem, solver, options, scaling, start, known, build_s, reused, progress)
 
     def build_scaled_nlp_point(
-        self, start: InitialNlpPoint, *, held: Indices | None = None, with_cost: bool = True
+        self,
+        x: Array,
+        known: NlpIterate | None = None,
+        *,
+        held: Indices | None = None,
+        with_cost: bool = True,
     ) -> NlpPoint:
-        """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
+        """Return the scaled solver input for x, with multipliers if ``known``, with ``held`` variables fixed."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         variables = transcription.get_variable_bounds(problem)
         rows = transcription.get_constraint_bounds(problem)
         if held is not None:
-            variables.lower[held] = variables.upper[held] = start.x[held]
+            variables.lower[held] = variables.upper[held] = x[held]
         scales, factor = scaling.variables, scaling.objective if with_cost else 0.0
         return NlpPoint(
-            start.x / scales,
+            x / scales,
             variables.lower / scales,
             variables.upper / scales,
             rows.lower * scaling.rows,
             rows.upper * scaling.rows,
             transcription.build_parameter_vector(problem, scales, scaling.rows, factor),
-            None if start.lam_x is None else start.lam_x * scales * factor,
-            None if start.lam_g is None else start.lam_g / scaling.rows * factor,
+            None if known is None else known.lam_x * scales * factor,
+            None if known is None else known.lam_g / scaling.rows * factor,
         )
 
     @contextmanager

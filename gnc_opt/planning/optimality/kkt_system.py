@@ -22,7 +22,7 @@ from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
@@ -99,9 +99,8 @@ class ProgramPoint:
         problem = held(solution)
         meshes = meshes or {name: phase.mesh for name, phase in solution.phases.items()}
         transcription = transcribe_problem(problem, meshes, solution.scheme)
-        start = choose_initial_nlp_point(transcription, problem, solution)
+        start = build_nlp_point_from_solution(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
-        assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)
         row_scales, objective = choose_row_scales(transcription, problem, x, scales)
         objective = min(objective, 1 / rounding) if rounding > 0 else objective

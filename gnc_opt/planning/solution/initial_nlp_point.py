@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.costates import invert_costate_map
+from gnc_opt.planning.solution.costates import NlpIterate, invert_costate_map
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
@@ -25,24 +24,10 @@ from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 
 
-@dataclass(frozen=True, eq=False)
-class InitialNlpPoint:
-    """Initial variables (n_variables,) and, from an earlier solution, multipliers of bounds and rows; physical."""
-
-    x: Array
-    lam_x: Array | None = None
-    lam_g: Array | None = None
-
-
-def choose_initial_nlp_point(
-    transcription: Transcription, problem: Problem, guess: Solution | None
-) -> InitialNlpPoint:
-    """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess."""
-    if guess is None:
-        curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
-        return InitialNlpPoint(set_integral_variables_by_quadrature(transcription, problem, curved))
-    start = build_nlp_point_from_guess(transcription, problem)
-    return build_nlp_point_from_solution(transcription, problem, guess, start)
+def choose_initial_variables(transcription: Transcription, problem: Problem) -> Array:
+    """Return the variables of a cold start (n_variables,), physical, from the problem's guess."""
+    curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
+    return set_integral_variables_by_quadrature(transcription, problem, curved)
 
 
 def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -> Array:
@@ -76,10 +61,10 @@ def set_integral_variables_by_quadrature(transcription: Transcription, problem: 
 
 
 def build_nlp_point_from_solution(
-    transcription: Transcription, problem: Problem, guess: Solution, start: Array
-) -> InitialNlpPoint:
-    """Return variables and multipliers from a solution on any mesh; ``start`` for variables that it does not have."""
-    x = start.copy()
+    transcription: Transcription, problem: Problem, guess: Solution
+) -> NlpIterate:
+    """Return variables and multipliers from a solution on any mesh; other variables are those of the guess."""
+    x = build_nlp_point_from_guess(transcription, problem)
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
         phase = problem.phases[name]
@@ -93,7 +78,7 @@ def build_nlp_point_from_solution(
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
-    return InitialNlpPoint(set_integral_variables_by_quadrature(transcription, problem, x), lam_x, lam_g)
+    return NlpIterate(set_integral_variables_by_quadrature(transcription, problem, x), lam_x, lam_g)
 
 
 def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:

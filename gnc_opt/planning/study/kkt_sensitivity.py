@@ -49,7 +49,7 @@ from gnc_opt.planning.optimality.kkt_system import ProgramLimits, ProgramPoint, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import InitialNlpPoint, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
@@ -87,22 +87,21 @@ def predict_solution(
     transcription, start = _transcribe_solution(problem, last)
     change = _predict_nlp_variable_change(problem, last)
     if change is None and before is not None:
-        earlier = choose_initial_nlp_point(transcription, problem, before).x
+        earlier = build_nlp_point_from_solution(transcription, problem, before).x
         change = ratio * (start.x - earlier)
     x = start.x if change is None or change.shape != start.x.shape else start.x + change
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
-    assert start.lam_x is not None and start.lam_g is not None, "a solution has multipliers"
     phases, _ = build_phase_solutions(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
     values = x[transcription.parameter_places]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
     return PredictedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
 
 
-def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, InitialNlpPoint]:
+def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, NlpIterate]:
     meshes = {name: phase.mesh for name, phase in solution.phases.items()}
     transcription = transcribe_problem(problem, meshes, solution.scheme)
-    return transcription, choose_initial_nlp_point(transcription, problem, solution)
+    return transcription, build_nlp_point_from_solution(transcription, problem, solution)
 
 
 def _predict_nlp_variable_change(problem: Problem, last: Solution) -> Array | None:

@@ -241,10 +241,10 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
     tried = ScaledNlp.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     n = tried.transcription.n_constraints
     result = NlpResult(
-        tried.start.x,
+        tried.start,
         0.0,
         np.zeros(n),
-        np.zeros(tried.start.x.size),
+        np.zeros(tried.start.size),
         np.zeros(n),
         Status.NOT_A_NUMBER,
         "",
@@ -301,19 +301,19 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     tried = ScaledNlp.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
-    starts = list(tries.generate_feasibility_initial_points(tried.transcription, problem, tried.start.x))
+    starts = list(tries.generate_feasibility_initial_points(tried.transcription, problem, tried.start))
     assert [held.tolist() for _, held in starts] == [[], [place], [place], [place], [], []]
     assert [variables[place] for variables, _ in starts[:4]] == pytest.approx([2.0, 2.0, 8.0, 9.0])
-    assert np.array_equal(starts[0][0], tried.start.x)
-    rest_of = np.delete(np.arange(tried.start.x.size), place)
-    assert all(np.array_equal(variables[rest_of], tried.start.x[rest_of]) for variables, _ in starts[:4])
+    assert np.array_equal(starts[0][0], tried.start)
+    rest_of = np.delete(np.arange(tried.start.size), place)
+    assert all(np.array_equal(variables[rest_of], tried.start[rest_of]) for variables, _ in starts[:4])
     assert not np.allclose(starts[4][0], starts[5][0])
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     still = ScaledNlp.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [
         held.tolist()
-        for _, held in tries.generate_feasibility_initial_points(still.transcription, fixed, still.start.x)
+        for _, held in tries.generate_feasibility_initial_points(still.transcription, fixed, still.start)
     ] == [[]] * 3
 
 

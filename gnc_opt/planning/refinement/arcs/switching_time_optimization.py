@@ -36,7 +36,7 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
@@ -282,8 +282,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, A
         held = plan.fix_arcs_in_problem(held, name)
     meshes = {name: plan.build_mesh() for name, plan in plans.items()}
     transcription = transcribe_problem(held, meshes, solution.scheme)
-    own, others = (choose_initial_nlp_point(transcription, held, s) for s in (solution, other))
-    assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
+    own, others = (build_nlp_point_from_solution(transcription, held, s) for s in (solution, other))
     iterate = NlpIterate(own.x, others.lam_x, others.lam_g)
     phases, _ = build_phase_solutions(transcription, held, iterate)
     return replace(
