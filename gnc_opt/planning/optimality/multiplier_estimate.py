@@ -121,8 +121,9 @@ def _differentiate_break_times(mesh: Mesh) -> Array:
 MAX_TRANSITION_NORM = 1e4
 """Growth of adjoint errors above which costates at a boundary become additional unknowns."""
 
-_ROUNDS, _SIGN_ITERATIONS = 8, 300
-"""Largest numbers of iterations of the active set, and of the linear program for the signs, which needs few."""
+_ROUNDS, _SIGN_ITERATIONS, _SIGN_ENTRIES = 8, 300, 5e6
+"""Largest numbers of iterations of the active set, and of iterations (it needs few) and dense matrix entries (some
+seconds) of the linear program for the signs."""
 
 
 def estimate_multipliers(
@@ -282,7 +283,8 @@ def _fit_multipliers_with_right_signs(
     """Return unknowns of admissible sign from a linear program, if these fit equally well."""
     n_rows = limits.is_at_any_limit.size
     left, imposed = form.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
-    if not max_norm(left[imposed]) <= NEGLIGIBLE * size:  # the sign does not matter
+    exact = max_norm(left[imposed]) <= NEGLIGIBLE * size  # otherwise the sign does not matter
+    if not exact or form.matrix.size > _SIGN_ENTRIES:
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
-from gnc_opt.array_types import Array, Indices, compute_interval_midpoints
+from gnc_opt.array_types import Array, compute_interval_midpoints
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, ROUNDING, SMALL, TINY
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, subdivide_intervals
@@ -91,20 +92,25 @@ def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
 
-def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPhase:
-    """Return polynomials through samples with at least two different times; ``rates`` maps (times, x, u) to dx/dt."""
-    twice = np.flatnonzero(np.diff(samples.t) == 0)
-    every = tuple(range(samples.u.shape[0]))
+def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates, least: ArrayLike = 0.0) -> FittedPhase:
+    """Return polynomials through samples with at least two different times; ``rates`` maps (times, x, u) to dx/dt.
+
+    Smaller changes of the controls than ``least`` (n_controls,) are neither jumps nor kinks, but rounding errors.
+    """
+    twice, n_controls = np.flatnonzero(np.diff(samples.t) == 0), samples.u.shape[0]
+    floors = np.broadcast_to(least, n_controls)
+    visible = np.fmax(SMALL * np.ptp(samples.u, axis=1), floors)
     sizes = np.abs(samples.u[:, twice + 1] - samples.u[:, twice])
-    of_control = np.any(sizes > SMALL * np.ptp(samples.u, axis=1)[:, None], axis=0)
-    pairs = zip(twice, of_control, strict=True)
-    jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not here) for i, here in pairs]
-    unmarked = _find_control_jumps_between_samples(samples, twice)
+    jumps = [
+        _Jump(int(i), float(samples.t[i]), tuple(range(n_controls)), of_slope=not here)
+        for i, here in zip(twice, np.any(sizes > visible[:, None], axis=0), strict=True)
+    ]
+    unmarked = _find_control_jumps_between_samples(samples, visible)
     jumps += unmarked
     for c, values in enumerate(samples.u):
         edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
         for first, last in itertools.pairwise(edges):
-            jumps += _find_control_kinks(samples.t[first:last], values[first:last], first, c)
+            jumps += _find_control_kinks(samples.t[first:last], values[first:last], first, c, floors[c])
     jumps.sort(key=lambda jump: jump.after)
     controls = _ControlFit(samples, jumps)
     controls.choose_control_interpolation(samples, rates)
@@ -123,31 +129,26 @@ class _Jump:
     of_slope: bool = False
 
 
-def _find_control_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_Jump]:
-    t, u = samples.t, samples.u
-    size = np.abs(np.diff(u, axis=1))
-    size[:, twice] = 0.0
-    before, after = np.zeros_like(size), np.zeros_like(size)
-    before[:, 1:], after[:, :-1] = size[:, :-1], size[:, 1:]
-    visible = size > SMALL * np.ptp(u, axis=1, keepdims=True)
-    alone = visible & (size > JUMP_MIN_RATIO * np.maximum(before, after))
+def _find_control_jumps_between_samples(samples: SampledPhase, visible: Array) -> list[_Jump]:
+    t, long = samples.t, np.flatnonzero(np.diff(samples.t) > 0)
     if t.size <= 3:  # too few samples
-        alone[:] = False
-    return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
+        return []
+    size = np.abs(np.diff(samples.u, axis=1))[:, long]
+    around = np.pad(size, ((0, 0), (1, 1)))
+    beside = np.maximum(around[:, :-2], around[:, 2:])
+    channels, at = np.nonzero((size > visible[:, None]) & (size > JUMP_MIN_RATIO * beside))
+    middles = compute_interval_midpoints(t)
+    return [_Jump(int(i), float(middles[i]), (int(c),)) for c, i in zip(channels, long[at], strict=True)]
 
 
-def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
+def _find_control_kinks(t: Array, u: Array, first: int, channel: int, least: float) -> list[_Jump]:
     """Return the kinks of a control between two jumps: isolated intervals across which its slope changes."""
     if t.size < _KNOWN_BESIDE:
         return []
     slopes = np.diff(u) / np.diff(t)
-    turn = (
-        np.abs(slopes[4:-1] - slopes[2:-3]),
-        np.abs(slopes[2:-3] - slopes[1:-4]),
-        np.abs(slopes[5:] - slopes[4:-1]),
-    )
-    visible = turn[0] * np.diff(t)[3:-2] > SMALL * np.ptp(u)
-    at = 3 + np.flatnonzero(visible & (turn[0] > JUMP_MIN_RATIO * np.maximum(turn[1], turn[2])))
+    turn, beside = np.abs(slopes[4:-1] - slopes[2:-3]), np.abs(np.diff(slopes))
+    visible = turn * np.diff(t)[3:-2] > max(SMALL * np.ptp(u), least)
+    at = 3 + np.flatnonzero(visible & (turn > JUMP_MIN_RATIO * np.maximum(beside[1:-3], beside[4:])))
     at = at[np.append(np.diff(at) > 1, True)[: at.size]]  # the second of two with a kink at the common sample
     found, start = [], 0
     for k, end in zip(at, np.append(at[1:] + 1, t.size), strict=False):
@@ -162,16 +163,13 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 
 
 def _find_curve_intersection(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
-
-    def compute_difference_of_interpolants(time: float) -> float:
-        return float(left(time) - right(time))
-
-    for end in (first, last):
-        if abs(compute_difference_of_interpolants(end)) <= slack:
+    gaps = {end: float(left(end) - right(end)) for end in (first, last)}
+    for end, gap in gaps.items():
+        if abs(gap) <= slack:
             return end
-    if compute_difference_of_interpolants(first) * compute_difference_of_interpolants(last) > 0:
+    if gaps[first] * gaps[last] > 0:
         return None
-    return float(scipy.optimize.brentq(compute_difference_of_interpolants, first, last))
+    return float(scipy.optimize.brentq(lambda time: float(left(time) - right(time)), first, last))
 
 
 class _ControlFit:

@@ -139,15 +139,16 @@ def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.phase.control_bounds, np.any(s.is_at_control_bounds, axis=0)
     affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(on_bound, axis=1)
+    distinct = np.unique(s.times, return_index=True)[1]  # at segment boundaries, rounding would be a minimum
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
         away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
-        here = slopes[i]
+        here, inner = slopes[i, distinct], distinct[1:-1]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
-        touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
+        touching = inner[lowest & away[inner] & on_bound[i, inner]]
         if touching.size:
-            return f"{s.describe_sample(int(touching[0]) + 1, s.phase.controls.labels[i])}: zero between switches"
+            return f"{s.describe_sample(int(touching[0]), s.phase.controls.labels[i])}: zero between switches"
     return ""
 
 

@@ -40,6 +40,7 @@ from gnc_opt.planning.solution.solution_from_nlp_result import (
     read_phase_parameters,
     unwrap_angles,
 )
+from gnc_opt.planning.solution.state_and_control_scales import take_largest_variable_component
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
@@ -102,7 +103,7 @@ number of halvings of the steps would remove it; third: smallest number of sampl
 
 NEARER = 1e-7, 1e-9
 """Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one if an
-estimated multiplier has the wrong sign, because dense samples near a touch point are closer to it than the default."""
+estimated multiplier or costate jump is wrong, because dense samples near touch points are closer than the default."""
 
 Values = Any
 """Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
@@ -170,7 +171,9 @@ def verify_trajectory(
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
     if verdict.minimum or twin is problem or _do_angles_exceed_full_turn(problem, twin, samples):
         return verdict
-    other = _check_reformulated_trajectory(problem, twin, samples, q, tol)
+    restated = reformulate_sampled_trajectory(problem, twin, samples, q)
+    q = _append_epigraph_parameters(twin, restated, q)
+    other = _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, restated, q), q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
     return verdict if prefers_stated else other
 
@@ -179,7 +182,9 @@ def _check_sampled_trajectory(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
-    for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
+    path_limited = any(phase.path_labels for phase in problem.phases.values())
+    doubtful = ("stationarity", "active set") if path_limited else ("active set",)
+    for near in NEARER if any(c.name in doubtful for c in verdict.failed) else ():
         other = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
@@ -207,13 +212,11 @@ def _mark_interpolation_errors_inconclusive(
     if not all(_is_failure_due_to_interpolation(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"
-    return replace(
-        verdict,
-        conditions=tuple(
-            replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
-            for c in verdict.conditions
-        ),
+    conditions = tuple(
+        replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
+        for c in verdict.conditions
     )
+    return replace(verdict, conditions=conditions)
 
 
 def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
@@ -232,16 +235,6 @@ def _remove_every_second_sample(samples: SampledPhase) -> SampledPhase:
     kept |= twice | np.roll(twice, 1)
     kept[[0, -1]] = True
     return SampledPhase(t[kept], samples.x[:, kept], samples.u[:, kept])
-
-
-def _check_reformulated_trajectory(
-    problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase], q: Array, tol: float
-) -> Verdict:
-    """Return the verdict in the reformulated controls, without norms and kinks
-    (`gnc_opt.planning.problem.reformulation`)."""
-    samples = reformulate_sampled_trajectory(problem, twin, stated, q)
-    q = _append_epigraph_parameters(twin, samples, q)
-    return _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, samples, q), q, tol)
 
 
 def _do_angles_exceed_full_turn(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
@@ -279,12 +272,12 @@ def _append_epigraph_parameters(twin: Problem, samples: Mapping[str, SampledPhas
 def _build_sampled_solution(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
-    fitted = {
-        name: fit_trajectory_polynomials(
-            samples[name], bind_parameters(problem, name, q).state_rates
-        ).split_mesh_segments(parts)
-        for name in problem.phases
-    }
+    fitted = {}
+    for name, phase in problem.phases.items():
+        size = np.max(np.abs(samples[name].u), axis=1)
+        least = EQUAL * take_largest_variable_component(size, phase.model.controls)
+        rates = bind_parameters(problem, name, q).state_rates
+        fitted[name] = fit_trajectory_polynomials(samples[name], rates, least).split_mesh_segments(parts)
     transcription = transcribe_problem(problem, {name: fit.mesh for name, fit in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)

@@ -215,7 +215,7 @@ def test_the_trajectory_of_another_tool_is_checked_until_its_multipliers_fit(
 ) -> None:
     """Solutions are labelled by their numbers of parts and distances from limits; each has given failures."""
 
-    def run(failures: dict[str, Any], growth: float = 9.0, n: int = 40) -> tuple[str, str]:
+    def run(failures: dict[str, Any], growth: float = 9.0, n: int = 40, paths: Any = ()) -> tuple[str, str]:
         seen: list[str] = []
 
         def build(problem: Any, samples: Any, q: Any, parts: int = 1, near: float = 0.0) -> str:
@@ -231,12 +231,14 @@ def test_the_trajectory_of_another_tool_is_checked_until_its_multipliers_fit(
         monkeypatch.setattr(external, "_build_sampled_solution", build)
         monkeypatch.setattr(external, "verify", judge)
         samples = external.SampledPhase(np.arange(float(n)), np.zeros((1, n)), np.zeros((1, n)))
-        found = external._check_sampled_trajectory(fake(), {"leg": samples}, np.zeros(0), 1e-5)
+        problem = fake(phases={"leg": fake(path_labels=paths)})
+        found = external._check_sampled_trajectory(problem, {"leg": samples}, np.zeros(0), 1e-5)
         assert found.estimated
         return "".join(c.result.value[0] for c in found.conditions), " ".join(seen)
 
     assert run({}) == ("PPP", "1/0/40")
     assert run({"1/0/40": ["stationarity"]}) == ("PPP", "1/0/40 2/0/40")
+    assert run({"1/0/40": ["stationarity"]}, paths=("limit",)) == ("PPP", "1/0/40 1/1e-07/40")
     assert run({"1/0/40": ["stationarity"], "2/0/40": ["stationarity"]}) == ("PPP", "1/0/40 2/0/40 4/0/40")
     assert run({"1/0/40": ["active set"]}) == ("PPP", "1/0/40 1/1e-07/40")
     assert run({"1/0/40": ["active set"], "1/1e-07/40": ["dynamics"]}) == (

@@ -557,7 +557,7 @@ def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool
     """In 0.1 s by a thousandth of the range of 2."""
     t = np.linspace(0.0, 2.0, 21)
     u = t + turn * np.maximum(t - 1.03, 0.0)
-    found = _find_control_kinks(t, u, 5, 2)
+    found = _find_control_kinks(t, u, 5, 2, 0.0)
     assert len(found) == seen
     for kink in found:
         assert kink.after == 15 and kink.time == pytest.approx(1.03, abs=1e-6)
