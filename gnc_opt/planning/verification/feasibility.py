@@ -1,15 +1,14 @@
 r"""Feasibility conditions: dynamics, limits, boundary conditions and cost of the trajectory.
 
 Displacements are relative to the reach of the states, cost changes to the cost scale (`optimality_check_scales`).
-A defect of the differential equation has two measures: its signed integral over a segment, and its effect on the cost,
-:math:`\int\lambda^T(\dot x - f)\,dt`. If later defects cancel it, it changes the cost to second order: its limit is
-the square root of the tolerance, below which its effect on the cost is inconclusive. Controls are within their bounds.
+A defect of the differential equation has three measures: its signed integral over a segment; its running integral
+inside a segment, times the square root of the tolerance, because it changes the cost only to second order there; its
+effect on the cost, :math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -68,11 +67,10 @@ def locate_maximum_over_time(s: PhaseSamples, values: Array, times: Array, label
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
     """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
-    worst = inside = NOTHING
+    worst = NOTHING
     for s in samples:
-        defect, cancelled = _find_worst_defect(s, scales, tolerance)
-        worst, inside = worst.select_larger(defect), inside.select_larger(cancelled)
-    condition = check_value_within_tolerance(
+        worst = worst.select_larger(_find_worst_defect(s, scales, tolerance))
+    return check_value_within_tolerance(
         "dynamics",
         worst,
         tolerance,
@@ -80,13 +78,9 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
         "end. If they do not, refine the mesh. The violation is relative to the distance that the controls can move "
         "the states, or to the cost.",
     )
-    if condition.result is ConditionResult.FAIL or inside.value <= tolerance:
-        return condition
-    return replace(condition, result=ConditionResult.INCONCLUSIVE, value=inside.value, where=inside.where)
 
 
-def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, Worst]:
-    """Return the worst defect of a phase, and the largest effect on the cost that later segments cancel."""
+def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     phase, ellipsoid, scan = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
@@ -117,15 +111,13 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> tup
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.integrate_over_segments(np.sum(s.lam * residual, axis=0))
-    if not (s.has_duration and np.all(np.isfinite(weighted))):
-        return worst, NOTHING
-    ends = phase.lam(phase.breaks[1:], "left")
-    weighted[held] = np.sum(ends * total, axis=0)[held]
-    sums, what = np.abs(np.cumsum(weighted)) / scales.cost, "effect on the cost"
-    k = int(np.argmax(sums))
-    certain = max(float(sums[-1]), float(sums[k] * np.sqrt(tolerance)))
-    worst = worst.select_larger(Worst(certain, s.describe_segment(k, what)))
-    return worst, Worst(float(sums[k]), s.describe_segment(k, f"{what}, cancelled by later segments"))
+    if s.has_duration and np.all(np.isfinite(weighted)):
+        ends = phase.lam(phase.breaks[1:], "left")
+        weighted[held] = np.sum(ends * total, axis=0)[held]
+        price = np.abs(np.cumsum(weighted)) / scales.cost
+        k = int(np.argmax(price))
+        worst = worst.select_larger(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
+    return worst
 
 
 def check_trajectory_limits(

@@ -672,7 +672,7 @@ def worst_defect(
         )
         return feasibility._find_worst_defect(
             sampled(residual), scales(along=round_ellipsoid(2.0)), tolerance
-        )[0]
+        )
 
 
 def test_defects_over_and_inside_segments_and_their_costs() -> None:

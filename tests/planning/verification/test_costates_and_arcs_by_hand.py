@@ -399,8 +399,7 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
         ((0.0, 0.0), 0.6, 0.1, 0.6 / 2, ("segment 1", "x")),
         ((0.0, 0.5), 0.0, 10.0, 7.5 / 4, ("segment 2", "effect on the cost")),
         ((0.8, 0.2), 0.0, -10.0, 7.0 / 4, ("segment 2", "effect on the cost")),
-        ((0.8, -0.2), 0.0, 10.0, 1.0 / 4, ("segment 1", "effect on the cost")),
-        ((3e-9, -1e-9), 0.0, 100.0, 1.5e-7 / 4, ("segment 1", "cancelled by later segments")),
+        ((0.8, -0.2), 0.0, 10.0, 4.0 / 4, ("segment 1", "effect on the cost")),
         ((4e-4, 0.0), 0.0, 0.1, 2e-4 / 2, ("segment 1", "x")),
     ],
 )
@@ -421,8 +420,7 @@ def test_defects_are_displacements_or_their_effect_on_the_cost(
         control_bounds=by_hand.interval(-9.0, 9.0),
     )
     found = feasibility.check_dynamics([s], given_scales([s], cost=4.0, radius=2.0), 1e-8)
-    assert found.result.value == ("INCONCLUSIVE" if "cancelled by later segments" in words else "FAIL")
-    assert found.value == pytest.approx(value, rel=1e-6)
+    assert found.value == pytest.approx(value, rel=1e-6) and found.result is ConditionResult.FAIL
     assert all(word in found.where for word in words) and "switch" not in found.where
 
 
