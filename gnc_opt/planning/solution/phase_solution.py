@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_float_array
+from gnc_opt.argument_checks import read_float_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
@@ -19,7 +19,12 @@ from gnc_opt.model.tabular_export_and_csv_import import TabularData
 from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, SaturatedControl, Side
+from gnc_opt.planning.solution.piecewise_polynomial import (
+    PiecewisePolynomial,
+    SaturatedControl,
+    Side,
+    subdivide_intervals,
+)
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
@@ -240,8 +245,8 @@ class PhaseSolution:
         return float(self.integrals[self.integral_labels.index(name)])
 
     def sample_times(self, per_segment: int = 10) -> Array:
-        """Return dense times, including segment boundaries."""
-        return self.x.sample_times(per_segment)
+        """Return times that divide each segment into equal parts (K * per_segment + 1,), s."""
+        return subdivide_intervals(self.breaks, read_integer(per_segment, "per_segment", 1))
 
     def _build_control_signal(self, name: str, source: SignalSource) -> Signal:
         composed = next((control for control in self.composed_controls if control.name == name), None)

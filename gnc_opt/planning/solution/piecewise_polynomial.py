@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_float_array, read_integer
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_zeros_by_one
@@ -96,10 +96,6 @@ class PiecewisePolynomial:
         pieces = zip(self.nodes, self.values, rates, strict=True)
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)
-
-    def sample_times(self, per_segment: int) -> Array:
-        """Return times that divide each segment into ``per_segment`` equal parts: (K·per_segment + 1,)."""
-        return subdivide_intervals(self.breaks, read_integer(per_segment, "per_segment", 1))
 
     def _clamp_times(self, times: Array) -> Array:
         if times.ndim != 1:

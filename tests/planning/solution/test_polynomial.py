@@ -13,7 +13,11 @@ from testing.internals import get_collocation_rule
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.planning.solution.piecewise_polynomial import KEPT_TIMES, PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import (
+    KEPT_TIMES,
+    PiecewisePolynomial,
+    subdivide_intervals,
+)
 
 BREAKS = np.array([1.0, 2.0, 4.5])
 
@@ -134,14 +138,11 @@ def test_constants_from_a_single_node() -> None:
     np.testing.assert_array_equal(steps.derivative()([0.0, 2.0]), [[0.0, 0.0]])
 
 
-def test_sample_times_cover_the_span_once() -> None:
-    curve = two_segments()
-    np.testing.assert_allclose(curve.sample_times(2), [1.0, 1.5, 2.0, 3.25, 4.5])
-    np.testing.assert_array_equal(curve.sample_times(1), BREAKS)
-    dense = curve.sample_times(37)
+def test_parts_of_intervals_cover_the_span_once() -> None:
+    np.testing.assert_allclose(subdivide_intervals(BREAKS, 2), [1.0, 1.5, 2.0, 3.25, 4.5])
+    np.testing.assert_array_equal(subdivide_intervals(BREAKS, 1), BREAKS)
+    dense = subdivide_intervals(BREAKS, 37)
     assert np.all(np.diff(dense) > 0) and np.isin(BREAKS, dense).all()
-    with pytest.raises(ValueError, match="integer >= 1"):
-        curve.sample_times(0)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -224,6 +224,8 @@ def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:
     assert leg.sample_times().size == 21 and leg.sample_times(3).tolist() == pytest.approx(
         np.linspace(0, 1, 7)
     )
+    with pytest.raises(ValueError, match="integer >= 1"):
+        leg.sample_times(0)
 
 
 def test_the_side_of_a_signal_at_a_jump() -> None:
