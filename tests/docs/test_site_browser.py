@@ -203,7 +203,7 @@ PHRASES = {
     "lower bound": "theory/lower_bounds", "LQR": "control/linear", "MPC": "control/predictive",
     "sliding mode": "control/sliding_mode", "Kalman filter": "control/estimation", "event": "control/events",
     "Monte Carlo": "control/campaigns", "1000 runs": "control/campaigns", "re-planning": "control/guidance",
-    "gain margin": "analysis/frequency", "C code": "control/c_code", "FMU": "control/fmu",
+    "gain margin": "analysis/frequency", "UKF": "control/estimation", "C code": "control/c_code", "FMU": "control/fmu",
     "outcome": "reference/outcomes", "installation": "start/installation", "glossary": "reference/glossary",
 }  # fmt: skip
 """What users type, and the page that comes first."""
