@@ -87,7 +87,9 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         )  # to look closer
     elif (ROOT / "docs" / "pictures" / f"{example.name}.png").exists():
         yield f"![{heading(example)}: {describe_axes(example.name)}](../pictures/{example.name}.png)\n"
-    for path in sorted(example.path.glob("*.py")) if example.is_package else [example.path]:
+    for path in (
+        sorted(example.path.glob("*.py"), key=_order_of_files) if example.is_package else [example.path]
+    ):
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")
         if example.is_package:
@@ -95,6 +97,11 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
             yield f'??? example "`{place}`"\n\n    ```python\n{body}\n    ```\n'
         else:
             yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
+
+
+def _order_of_files(path: Path) -> tuple[bool, str]:
+    """Return the key by which the modules of a package come before ``__init__`` and ``__main__``."""
+    return path.name.startswith("__"), path.name
 
 
 def raise_exponents(text: str) -> str:

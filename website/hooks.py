@@ -198,6 +198,7 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     """Let links to files of the repository lead to the pages that show them; what is generated has the site's own."""
     place = page.file.src_uri
     page.meta["search"] = {"boost": search_weight(place)}
+    page.meta["hide"] = ["navigation"] if place == "index.md" else []  # it would list this page alone
     if place not in FROM_ROOT and page.file.generated_by:
         return markdown
     pieces = re.split(f"({_FENCE.pattern})", markdown, flags=_FENCE.flags)

@@ -126,7 +126,7 @@ def refine(
 class StagedRefinement:
     """Search for an accurate solution from the ``first`` one, on a first mesh: settings, work budget and candidates.
 
-    ``begin`` is the time at which the search began, s, of `time.perf_counter`. See `refine`.
+    ``begin`` is the time at which the search began, s, of `time.perf_counter`; ``_first`` the candidate of ``first``.
     """
 
     first: Solution

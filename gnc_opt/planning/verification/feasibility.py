@@ -81,6 +81,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
+    """Return the largest measure of a defect: over a segment, inside it, or by its effect on the cost."""
     phase, ellipsoid, scan = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
