@@ -197,4 +197,4 @@ class History(PrintableResult):
                 f"{i:>3}{mark} {p.n_segments:>8} {p.n_points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
                 f"{p.iterations:>4} {p.seconds:>6.2f}  {p.stage:<16} {p.actions}"
             )
-        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s)"])
+        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s; *: returned, NLP: iterations)"])
