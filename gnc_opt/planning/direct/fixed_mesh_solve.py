@@ -39,8 +39,8 @@ TRY_MAX_ITERATIONS = 300
 """Iterations of an attempt if others follow and the guess is not a trajectory."""
 
 WARM_MAX_ITERATIONS = 150
-"""Iterations after which a start near a known solution, or the first start from straight lines, is given up. Of 84
-problems solved from straight lines none needs more than 143."""
+"""Iterations after which a start near a known solution, or the first one from straight lines, is ended. None of 84
+problems solved from straight lines needs more than 143."""
 
 ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
 """Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
@@ -51,7 +51,7 @@ free final time, can drive the iterates to points where the constraint violation
 the most frequent cause, so that longer ones are tried."""
 
 UNEXPLAINED = (*ROUNDING[1:], Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
-"""Statuses that are no property of the problem."""
+"""Statuses that do not indicate a property of the problem."""
 
 TRAJECTORY_START_BARRIER = 1e-2
 """Initial barrier parameter of a start from a trajectory without multipliers."""

@@ -76,7 +76,7 @@ class Arc:
 Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
 """Arc kinds, one tuple per row with one entry per segment."""
 
-MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
+PRESCRIBABLE_KINDS = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
 """Arc kinds that a user may prescribe for a control, path constraint or state."""
 
 
@@ -137,8 +137,8 @@ def read_arc_kinds(
     except (TypeError, ValueError):  # symbols, or objects without conversion
         kinds = np.empty((0, 0), dtype=object)
     read = [[_read_arc_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
-    if len(read) != len(labels) or any(kind not in MAY_BE_TOLD for row in read for kind in row):
-        names = ", ".join(kind.name for kind in MAY_BE_TOLD)
+    if len(read) != len(labels) or any(kind not in PRESCRIBABLE_KINDS for row in read for kind in row):
+        names = ", ".join(kind.name for kind in PRESCRIBABLE_KINDS)
         raise ProblemError(
             f"arcs of {where} must be -1, 0 and +1, or {names} of ArcKind, in an array of {len(labels)} rows ({what} "
             f"{', '.join(labels)}) and one column per segment; got {quote_value(given)} of shape {kinds.shape}."

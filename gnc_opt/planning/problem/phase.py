@@ -503,7 +503,7 @@ class Phase(StrictAttributes):
         return bool(least[0] > 0) or vector.name in self._curved
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
-        """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
+        """Record that functions use a vector control; ``on_sphere`` None: `has_unit_direction` follows from them."""
         lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.state_derivative(), self.integrand_expression(), *constraints):

@@ -7,7 +7,7 @@ The error of the objective is its difference from the local optimum. Every segme
 and quadratures, o of limits exceeded between the points, and g of other controls on H (with path constraints, mu of the
 correct sign; exact if H is affine in a control, else one projected Newton step). The section "Estimated error of the
 objective" of ``docs/refinement.md`` has the equations. The estimate is :math:`A = \sum (|d| + o + |g|)`; errors cancel
-within a segment only, decreases of H by three quarters at most (beside a switch, the polynomial is beyond its bounds).
+within a segment only, decreases of H by three quarters at most (next to a switch, the polynomial exceeds its bounds).
 To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001),
 not a bound.
 """
@@ -33,8 +33,8 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.quadrature import build_lagrange_interpolation_matrix
 
 UNCANCELLED_SHARE = 0.25
-"""Smallest share of the decreases of H in a segment that remains in the estimate; without it, the estimate is down to
-0.12 of the error where a switch lies within a segment."""
+"""Smallest share of the decreases of H in a segment that remains in the estimate; without it, the estimate can
+be as small as 0.12 of the error if a switch lies within a segment."""
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class ControlKink:
     def find_control_kink_of_extremum(
         cls, kink: Extremum, controls: Mapping[int, Any], domain: SymbolRanges
     ) -> ControlKink | None:
-        """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
+        """Return the control kink; None if it has more than two pieces, or no constant corner along one control."""
         if len(kink.pieces) != 2:
             return None
         first, second = kink.pieces
@@ -73,7 +73,7 @@ class ControlKink:
 
 @dataclass(frozen=True, eq=False)
 class ControlKinks:
-    """Bends of integrals that control splitting removes, by integral; corners by the index of the control."""
+    """Kinks of integrals that control splitting removes, by integral; corners by the index of the control."""
 
     at: dict[str, list[ControlKink]]
     corners: dict[int, float]
