@@ -107,6 +107,9 @@ MEAN_SHARE = 0.1
 """Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the
 distance to the minimum of H to the deviation."""
 
+BESIDE = 1.3
+"""Factor of a control for the test whether the control has an effect."""
+
 
 def estimate_control_deviations(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
@@ -145,7 +148,11 @@ def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Ar
 def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     asked, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
-    if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
+    # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
+    effects = (s.functions.dynamics_control_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
+    own, beside = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
+    share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
+    if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
 
