@@ -218,3 +218,18 @@ def test_a_kink_that_only_an_idle_control_reaches_is_found(price: float) -> None
     t = np.linspace(0, 1, 61)
     verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
     assert [c.name for c in verdict.failed] == ["kinks"], verdict.explain()
+
+
+@pytest.mark.parametrize("bound", [30.0, 3000.0])
+def test_a_heading_whose_effect_vanishes_at_its_value_is_not_at_rest(bound: float) -> None:
+    """x' = cos h + 0.4 cos 2h, most x: h = pi is the better of its neighbours with -0.6, h = 0 attains 1.4."""
+    model = go.Model("heading")
+    x, h = model.state("x"), model.control("h")
+    model.ode({x: ca.cos(h) + 0.4 * ca.cos(2 * h)})
+    problem, leg = one_phase("heading", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(h=(-bound, bound))
+    problem.maximize(leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 61)
+    verdict = go.verify_trajectory(problem, t, {"x": -0.6 * t}, {"h": np.full(t.size, np.pi)})
+    assert verdict["minimum principle"].result is go.ConditionResult.FAIL
