@@ -26,6 +26,10 @@ SHOWN_OPTIONS = {"hypersensitive": {"duration": 40.0}}
 """Options of `build` for figures that would be unreadable with the default ones."""
 
 
+CHECKS = {"optimum": "strict local optimum", "necessary conditions": "the necessary conditions pass"}
+"""Results of the optimality check in words, by those of the tables."""
+
+
 def reference(example: Example) -> Reference | None:
     """Return the reference value; systems compare themselves with their publications instead."""
     found = getattr(example.module, "REFERENCE", None)
@@ -73,7 +77,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     if known is not None and not example.is_package:
         objective, check = result(example)
         found = re.sub("^max ", "the maximum ", objective).replace(", **", ", which **")
-        yield f"`go.solve` finds {found}. [Optimality check](../problems.md): {check}.\n"
+        yield f"`go.solve` finds {found}. [Optimality check](../problems.md): {CHECKS.get(check, check)}.\n"
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"The page [{example.name.replace('_', ' ')}](../{example.name}.md) describes the results.\n"
     command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.module_name}`"
