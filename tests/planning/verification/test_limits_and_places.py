@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.verification.external_trajectory_check import reformulate_sampled_trajectory
+from gnc_opt.planning.verification.external_trajectory_check import reformulate_sampled_phase
 from gnc_opt.planning.verification.feasibility import check_trajectory_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
@@ -484,10 +484,8 @@ def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None
     u = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 9))
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)
-    (own,) = reformulate_sampled_trajectory(
-        problem, twin, {"leg": SampledPhase(t, np.zeros((4, 9)), u)}, np.zeros(0)
-    ).values()
-    restatement = twin.phases["leg"].restatement
+    given, restated = SampledPhase(t, np.zeros((4, 9)), u), twin.phases["leg"]
+    own, restatement = reformulate_sampled_phase(problem, restated, given, np.zeros(0)), restated.restatement
     assert restatement is not None
     controls = twin.phases["leg"].model.symbols("control")
     assert np.all(np.isfinite(own.u))

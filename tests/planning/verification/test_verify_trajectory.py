@@ -187,6 +187,17 @@ def test_wrong_by_a_thousandth_fails(wrong: Callable[[], Trajectory], sees: str)
     assert sees in failed(least_energy(), wrong())
 
 
+def test_defects_that_cancel_between_times_given_twice_are_inconclusive() -> None:
+    """As inside the segments of another tool, at whose ends the states are accurate."""
+    even = np.linspace(0.0, 1.0, 61)
+    for t, word in ((np.sort(np.append(even, even[12:-1:12])), "INCONCLUSIVE"), (even, "FAIL")):
+        v = 6 * t - 6 * t**2 + 1e-4 * np.sin(5 * np.pi * t) ** 2
+        verdict = go.verify_trajectory(
+            least_energy(), t, {"q": 3 * t**2 - 2 * t**3, "v": v}, {"a": 6 - 12 * t}
+        )
+        assert verdict["dynamics"].result.value == word and not verdict.ok
+
+
 @pytest.mark.slow
 def test_feasible_switch_at_the_wrong_time_fails() -> None:
     """Weaker braking after an earlier switch keeps all limits and takes longer: no multipliers explain it."""
