@@ -141,8 +141,7 @@ def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(on_bound, axis=1)
     distinct = np.unique(s.times, return_index=True)[1]  # at segment boundaries, rounding would be a minimum
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
-        own = times[channels == i], s.times[~on_bound[i]]
-        ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
+        ends = np.concatenate([s.times[[0, -1]], times[channels == i], s.times[~on_bound[i]]])
         away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
         here, inner = slopes[i, distinct], distinct[1:-1]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
