@@ -40,15 +40,17 @@ def relax_state_bounds(phase: Phase) -> Interval:
 def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
     """Return which bounded states never decrease and which never increase, for all controls and states within bounds.
 
+    States that no control drives count only if they are constant.
     Bounds of monotone states are relaxed to `relax_state_bounds`; those of the other states hold.
     """
     numbers = phase.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     if not np.any(bounded):
         return bounded, bounded
+    derivative, driven = phase.model.state_derivative(), np.zeros_like(bounded)
+    driven[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
     rates = problem.memoize(
-        ("rates", phase.name),
-        lambda: build_function_along_phase(problem, phase, "rates", phase.model.state_derivative()),
+        ("rates", phase.name), lambda: build_function_along_phase(problem, phase, "rates", derivative)
     )
     values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
@@ -59,13 +61,14 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     place = ("one way", phase.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        relaxed, rising, falling = np.zeros_like(bounded), bounded, bounded
+        relaxed, rising, falling = np.zeros_like(bounded), bounded.copy(), bounded.copy()
         while True:  # fewer states are relaxed in every pass
             box = Interval(
                 *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
             )
             rate = bound_function_values(rates, [time, box, *others])
-            rising, falling = rising & (rate.lower == 0), falling & (rate.upper == 0)
+            rising &= (rate.lower == 0) & (driven | (rate.upper == 0))
+            falling &= (rate.upper == 0) & (driven | (rate.lower == 0))
             if np.array_equal(relaxed, rising | falling):
                 break
             relaxed = rising | falling
