@@ -8,6 +8,7 @@ the switching function along the bound arc changes sign (bound arc too long). Th
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     GONE,
     JUNCTION_OFFSET_SHARE,
+    MAGNITUDE_FLOOR,
     MINOR,
     NEGLIGIBLE,
     SMALL,
@@ -30,6 +32,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     Correction,
     KindArray,
     PhaseStructure,
+    select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     find_linear_path_constraints,
@@ -69,7 +72,13 @@ def correct_arc_structure(
                 return {**plans, name: plans[name].replace_control_structure(structure)}, action
     adjusted = {name: _adjust_kinks_and_mesh(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
-    return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
+    if actions:
+        return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
+    for name, c in constraints.items():
+        structure, action = _insert_arc_at_sign_violation(c.samples, plans[name])
+        if structure is not None:
+            return {**plans, name: plans[name].extend_mesh_by_one_arc(structure)}, action
+    return plans, ""
 
 
 def _adjust_kinks_and_mesh(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
@@ -105,6 +114,56 @@ def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> Correction
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
+def _insert_arc_at_largest_violation(
+    samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
+) -> Correction:
+    """Return the structure with an arc at the largest violation and the action, or None without a violation."""
+    if not violation.size or violation.max() < GONE:
+        return None, ""
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
+    start, end = find_largest_violation_interval(samples.times, violation[i])
+    label = (*samples.phase.controls.labels, *samples.phase.path_labels)[i]
+    limits = find_linear_path_constraints(samples)
+    extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
+    if extended == structure:  # between boundaries that are a rounding apart
+        return None, ""
+    return extended, f"arc of {label} added at {samples.describe_times(start)}"
+
+
+def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Correction:
+    """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right.
+
+    The violation of a bound with a switching function of the wrong sign is the gain in H; the required kind is the
+    opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds, it is
+    the relative excess. Mixed path constraints are treated alike.
+    """
+    bounds, paths = samples.phase.control_bounds, samples.phase.path_bounds
+    values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
+    sizes = np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)
+    scales = np.concatenate([samples.control_scale, sizes])
+    # At an upper limit both the switching function and the reversed multiplier must be negative.
+    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
+    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
+    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
+    subarcs = plan.segment_subarc_indices[samples.segments]
+    kinds = plan.structure.arc_kind_matrix()[: pull.shape[0], subarcs]
+    signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
+    regular = np.array(plan.structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    rows = [*itertools.chain(*find_linear_path_constraints(samples).rows.values())]
+    limiting = np.isin(np.arange(len(pull)), samples.phase.controls.size + np.array(rows, dtype=int))[:, None]
+    affine = limiting | np.pad(mask_affine_controls(samples), (0, len(values)))[:, None]
+    checked = (affine | regular) & (signs != 0)
+    excess = np.maximum(above, below) / scales[:, None]
+    violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    other = select_kind(regular | limiting, ArcKind.INTERIOR, opposite)
+    for own, own_kinds in zip(violation, kinds, strict=True):
+        clear_violations_near_switches(own, own_kinds)
+    asked = select_kind(checked, other, crossed)
+    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
+
+
 def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Correction:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
@@ -127,19 +186,8 @@ def _insert_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> Corre
         for first, end in find_true_value_intervals(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
-    if violation.max(initial=0.0) < GONE:
-        return None, ""
-    row, at = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
-    interval = find_largest_violation_interval(samples.times, violation[row])
-    kind, limits = (
-        ArcKind.LOWER if gain[row, at] > 0 else ArcKind.UPPER,
-        find_linear_path_constraints(samples),
-    )
-    extended = limits.insert_control_arc(plan.structure, row, at, interval, kind)
-    if extended == plan.structure:  # between boundaries that differ by rounding
-        return None, ""
-    label = samples.phase.controls.labels[row]
-    return extended, f"arc of {label} added at {samples.describe_times(interval[0])}"
+    asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
 def clear_violations_near_switches(violation: Array, kinds: KindArray | Array) -> None:
