@@ -120,7 +120,7 @@ def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
             dose: u,
             energy: u**2 + w**2,
             charge: w,  # comes and goes
-            speed: -(speed**2),  # rests at zero: falls else
+            speed: -(speed**2),  # no control
             heat: 2 + u,  # never rests
             free: u,  # has no bound
         }
@@ -129,11 +129,11 @@ def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
     leg.bounds(u=(0.0, 1.0), w=(-1.0, 1.0), **dict.fromkeys(names[:-1], (0.0, 1.0)))
     rising, falling = find_monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["dose", "energy"]
-    assert [names[i] for i in np.flatnonzero(falling)] == ["fuel", "speed"]
+    assert [names[i] for i in np.flatnonzero(falling)] == ["fuel"]
     leg.bounds(u=(-1.0, 0.0))
     rising, falling = find_monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
-    assert [names[i] for i in np.flatnonzero(falling)] == ["dose", "speed"]
+    assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
 
 
 def test_a_budget_is_found_again_for_other_numbers() -> None:
