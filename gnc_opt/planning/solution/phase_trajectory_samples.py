@@ -177,9 +177,17 @@ class PhaseSamples:
     def inactive_controls(self) -> Mask:
         """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""
         layout, bounds = self.phase.controls, self.phase.control_bounds
+        vectors = self.phase.vector_controls
+        rows = {label: row for row, label in enumerate(self.phase.path_labels)}
+        norms = {
+            i: rows[vector.direction_norm_constraint_name]
+            for vector in vectors
+            if vector.direction_norm_constraint_name in rows
+            for i in layout.indices(vector.direction)
+        }
         at = self.times, self.x, self.u, self.control_scale
-        idle = mask_inactive_controls(self.functions, bounds, *at)
-        for vector in self.phase.vector_controls:
+        idle = mask_inactive_controls(self.functions, bounds, *at, norms)
+        for vector in vectors:
             magnitude = self.u[layout.slice(vector.magnitude)]
             scale = self.control_scale[layout.slice(vector.magnitude), None]
             idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale

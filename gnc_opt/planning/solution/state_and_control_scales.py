@@ -11,6 +11,8 @@ Controls may be without effect, such as the steering angle of an engine that is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import scipy
 
@@ -39,10 +41,12 @@ def mask_inactive_controls(
     x: Array,
     u: Array,
     scale: Array,
+    norms: Mapping[int, int] | None = None,
 ) -> Mask:
     """Return where controls (m, N) do not change rates, paths or integrands while others are at their bounds.
 
-    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls.
+    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls. ``norms``
+    maps a component of a direction to the path constraint of its length, which does not count as an effect.
     """
     idle = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
@@ -59,6 +63,9 @@ def mask_inactive_controls(
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
+        if norms and int(i) in norms:
+            for change in changes:
+                change[x.shape[0] + norms[int(i)]] = 0.0
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
         idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
     return idle
