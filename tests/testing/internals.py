@@ -73,11 +73,9 @@ from gnc_opt.planning.problem.scaling_magnitudes import (
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
-    COARSE_POINTS,
     FIRST_DEGREE,
     ArcMesh,
     SubarcMesh,
-    count_equivalent_uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_control_structure

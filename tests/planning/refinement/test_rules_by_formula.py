@@ -77,7 +77,6 @@ def test_resolution_of_a_piece_of_a_mesh() -> None:
     np.testing.assert_allclose(found.edges, [0.25, 0.5])
     assert arc_mesh._read_subarc_mesh(mesh, 1, 4, arc_mesh.SubarcMesh(1, 3, 0)).smooth == 0
     assert arc_mesh._read_subarc_mesh(mesh, 1, 2, arc_mesh.SubarcMesh(1, 3, 3)).smooth == 3
-    assert arc_mesh.count_equivalent_uniform_points(mesh) == pytest.approx(5 / 0.4)
 
 
 def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_reaches_one() -> None:

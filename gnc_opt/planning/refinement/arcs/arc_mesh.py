@@ -37,9 +37,6 @@ accurate than the steps, and another pass follows."""
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth subarc reduces the error by a decade."""
 
-COARSE_POINTS = 100
-"""Collocation points per phase above which subarcs begin with more than the coarsest resolution."""
-
 ARC_OVERLAP_SHARE = 0.9
 """Least common share of two subarcs that count as the same one."""
 
@@ -112,22 +109,19 @@ class SubarcMesh:
 class ArcMesh:
     """Structure and resolution of one phase, one `SubarcMesh` per subarc.
 
-    ``points`` are those of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
-    detected. Subarcs of a fine mesh start finer: otherwise oscillations much shorter than a subarc are aliased. With
-    ``loose``, state constraints are also released next to their touch points, so that the interior-point barrier does
-    not affect the solution there; without limits, a structure that lacks a contact may have no solution.
+    With ``loose``, state constraints are also released next to their touch points, so that the interior-point barrier
+    does not affect the solution there; without limits, a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure
     resolutions: tuple[SubarcMesh, ...]
-    points: float = 0.0
     loose: bool = False
 
     @classmethod
-    def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
-        """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
-        first = tuple(_choose_coarse_subarc_mesh(structure, k, points) for k in range(structure.n_subarcs))
-        return cls(structure, first, points)
+    def from_structure(cls, structure: PhaseStructure) -> ArcMesh:
+        """Return a plan with the coarsest resolution."""
+        subarcs = range(structure.n_subarcs)
+        return cls(structure, tuple(_choose_coarse_subarc_mesh(structure, k) for k in subarcs))
 
     @classmethod
     def from_integration_steps(cls, structure: PhaseStructure, times: Array) -> ArcMesh:
@@ -139,7 +133,7 @@ class ArcMesh:
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
         """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
-        found = cls.from_structure(structure, count_equivalent_uniform_points(mesh))
+        found = cls.from_structure(structure)
         times = np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
@@ -155,7 +149,7 @@ class ArcMesh:
 
     def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of another structure with initial resolutions."""
-        return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose)
+        return replace(ArcMesh.from_structure(structure), loose=self.loose)
 
     def extend_mesh_by_one_arc(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc, which hardly changes other subarcs."""
@@ -253,11 +247,6 @@ class ArcMesh:
         return tuple(found)
 
 
-def count_equivalent_uniform_points(mesh: Mesh) -> float:
-    """Return the number of points of a uniform mesh as coarse as the coarsest segment."""
-    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
-
-
 def _read_subarc_mesh(mesh: Mesh, first: int, last: int, coarsest: SubarcMesh) -> SubarcMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
@@ -266,7 +255,7 @@ def _read_subarc_mesh(mesh: Mesh, first: int, last: int, coarsest: SubarcMesh) -
     return SubarcMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int, points: float) -> SubarcMesh:
+def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int) -> SubarcMesh:
     kinds, share = structure.kinds[subarc], structure.subarc_lengths[subarc] / structure.subarc_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_controls_fixed_by_limits(subarc):
@@ -274,5 +263,4 @@ def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int, points: f
     if ArcKind.INTERIOR in structure.control_arc_kinds[:, subarc]:
         degree = FIRST_DEGREE if structure.has_constraint_contact(subarc) else INTERIOR_DEGREE
         return SubarcMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
-    segments = int(np.ceil(share * points / ARC_MAX_DEGREE)) if points > COARSE_POINTS else 1
-    return SubarcMesh() if segments == 1 else SubarcMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)
+    return SubarcMesh()

@@ -82,9 +82,8 @@ def optimise_switching_times(
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
     plans = {}
     for name, structure in (structures or detect_arc_structures(solution)).items():
-        plans[name] = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
-        if segments == "few":
-            plans[name] = ArcMesh.from_structure(structure, plans[name].points)
+        known = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
+        plans[name] = ArcMesh.from_structure(structure) if segments == "few" else known
     within = budget or WorkBudget()
     with print_iterations(solution.problem_name, tol, progress) as show:
         loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show)
