@@ -37,9 +37,6 @@ accurate than the steps, and another pass follows."""
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth subarc reduces the error by a decade."""
 
-ARC_OVERLAP_SHARE = 0.9
-"""Least common share of two subarcs that count as the same one."""
-
 
 @dataclass(frozen=True)
 class SubarcMesh:
@@ -150,18 +147,6 @@ class ArcMesh:
     def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of another structure with initial resolutions."""
         return replace(ArcMesh.from_structure(structure), loose=self.loose)
-
-    def extend_mesh_by_one_arc(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of the structure with one more arc, which hardly changes other subarcs."""
-        plan, kept = self.replace_control_structure(structure), list[SubarcMesh]()
-        subarcs = zip(structure.kinds, itertools.pairwise(structure.times), plan.resolutions, strict=True)
-        for own, (left, right), new in subarcs:
-            for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
-                least = ARC_OVERLAP_SHARE * max(right - left, end - begin)
-                if self.structure.kinds[k] == own and min(right, end) - max(left, begin) > least:
-                    new = self.resolutions[k]
-            kept.append(new)
-        return replace(plan, resolutions=tuple(kept))
 
     @property
     def segment_subarc_indices(self) -> Indices:

@@ -77,7 +77,7 @@ def correct_arc_structure(
     for name, c in constraints.items():
         structure, action = _insert_arc_at_sign_violation(c.samples, plans[name])
         if structure is not None:
-            return {**plans, name: plans[name].extend_mesh_by_one_arc(structure)}, action
+            return {**plans, name: plans[name].replace_control_structure(structure)}, action
     return plans, ""
 
 
