@@ -256,3 +256,19 @@ def test_what_others_between_their_bounds_do_is_not_counted_as_done_by_one() -> 
 def test_controls_that_act_by_themselves_are_not_idle() -> None:
     """A sum of both: nothing that one does depends on the other."""
     assert not np.any(idle(lambda a, b: a + b**2 * 1e-9, flown(0.0), [1.0, 1.0]))
+
+
+def test_the_length_of_a_direction_is_no_effect() -> None:
+    """A direction whose thruster is off acts on its own norm only."""
+    model = go.Model("thruster")
+    size, direction = model.control("size"), model.control("direction")
+    x = model.state("x")
+    model.ode({x: size * direction})
+    problem = go.Problem("thruster")
+    leg = problem.phase("leg", model)
+    leg.bounds(size=(0.0, 1.0), direction=(-1.0, 1.0))
+    leg.path("norm", direction**2, upper=1.0)
+    functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
+    arguments = functions, leg.numbers.controls, T, np.zeros((1, N)), flown(0.3), np.ones(2)
+    assert not np.any(mask_inactive_controls(*arguments))
+    np.testing.assert_array_equal(mask_inactive_controls(*arguments, {1: 0})[1], OFF)
