@@ -25,17 +25,22 @@ SLOPE_PROBE_SHARE = 0.1
 
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls, with two finite limits, are linear in H, (m,)."""
+    """Return which controls, with two finite limits, are linear in H or always at path constraints, (m,)."""
     bounds, limits = samples.phase.control_bounds, find_linear_path_constraints(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    linear = _mask_linear_controls(samples)
     for i in limits.rows:
-        bounded[i] = limits.has_path_bounds(i)
-    return _mask_linear_controls(samples) & bounded
+        bounded[i], linear[i] = limits.has_path_bounds(i), True
+    return linear & bounded
 
 
 def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
-    """Return the path constraints that limit a single control, linear in H."""
-    return LinearPathLimits.from_samples(samples, _mask_linear_controls(samples))
+    """Return the path constraints that limit a single control, linear in H or always at its limits."""
+    linear = _mask_linear_controls(samples)
+    bent = LinearPathLimits.from_samples(samples, ~linear & ~mask_convex_controls(samples))
+    for i in bent.rows:
+        linear[i] = bent.is_control_always_at_limits(i)
+    return LinearPathLimits.from_samples(samples, linear)
 
 
 def _mask_linear_controls(samples: PhaseSamples) -> Mask:
@@ -102,11 +107,7 @@ class LinearPathLimits:
 
     def has_path_bounds(self, control: int) -> bool:
         """Return whether a control has finite limits along the whole phase."""
-        above, below = self._compute_admissible_controls(control)
-        bounds, size = self.samples.phase.control_bounds, self.samples.times.size
-        lower, upper = np.full(size, bounds.lower[control]), np.full(size, bounds.upper[control])
-        least, most = np.max([lower, *below.values()], axis=0), np.min([upper, *above.values()], axis=0)
-        return bool(np.all(np.isfinite([least, most])))
+        return bool(np.all(np.isfinite(self._find_tightest_limits(control))))
 
     def mask_samples_near_limit(self, control: int, margin: float) -> Mask:
         """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
@@ -114,6 +115,19 @@ class LinearPathLimits:
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
+
+    def is_control_always_at_limits(self, control: int) -> bool:
+        """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
+        s, (least, most) = self.samples, self._find_tightest_limits(control)
+        off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
+        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
+
+    def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
+        """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
+        above, below = self._compute_admissible_controls(control)
+        bounds, size = self.samples.phase.control_bounds, self.samples.times.size
+        lower, upper = np.full(size, bounds.lower[control]), np.full(size, bounds.upper[control])
+        return np.max([lower, *below.values()], axis=0), np.min([upper, *above.values()], axis=0)
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
