@@ -134,17 +134,13 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Corre
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right.
 
     The violation of a bound with a switching function of the wrong sign is the gain in H; the required kind is the
-    opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds, it is
-    the relative excess. Mixed path constraints are treated alike.
+    opposite bound, or interior where H is not linear in the control. Mixed path constraints are treated alike.
     """
-    bounds, paths = samples.phase.control_bounds, samples.phase.path_bounds
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
     sizes = np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)
     scales = np.concatenate([samples.control_scale, sizes])
     # At an upper limit both the switching function and the reversed multiplier must be negative.
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
-    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
-    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     subarcs = plan.segment_subarc_indices[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[: pull.shape[0], subarcs]
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
@@ -153,14 +149,11 @@ def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Corre
     limiting = np.isin(np.arange(len(pull)), samples.phase.controls.size + np.array(rows, dtype=int))[:, None]
     affine = limiting | np.pad(mask_affine_controls(samples), (0, len(values)))[:, None]
     checked = (affine | regular) & (signs != 0)
-    excess = np.maximum(above, below) / scales[:, None]
-    violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    violation = np.where(checked, signs * pull, 0.0)
     opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    other = select_kind(regular | limiting, ArcKind.INTERIOR, opposite)
+    asked = select_kind(regular | limiting, ArcKind.INTERIOR, opposite)
     for own, own_kinds in zip(violation, kinds, strict=True):
         clear_violations_near_switches(own, own_kinds)
-    asked = select_kind(checked, other, crossed)
     return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
