@@ -8,7 +8,6 @@ the switching function along the bound arc changes sign (bound arc too long). Th
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     GONE,
     JUNCTION_OFFSET_SHARE,
-    MAGNITUDE_FLOOR,
     MINOR,
     NEGLIGIBLE,
     SMALL,
@@ -122,7 +120,7 @@ def _insert_arc_at_largest_violation(
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_largest_violation_interval(samples.times, violation[i])
-    label = (*samples.phase.controls.labels, *samples.phase.path_labels)[i]
+    label = samples.phase.controls.labels[i]
     limits = find_linear_path_constraints(samples)
     extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
     if extended == structure:  # between boundaries that are a rounding apart
@@ -131,29 +129,20 @@ def _insert_arc_at_largest_violation(
 
 
 def _insert_arc_at_sign_violation(samples: PhaseSamples, plan: ArcMesh) -> Correction:
-    """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right.
+    """Return the structure with an arc where a control is at the wrong bound and the action, or None if none is.
 
-    The violation of a bound with a switching function of the wrong sign is the gain in H; the required kind is the
-    opposite bound, or interior where H is not linear in the control. Mixed path constraints are treated alike.
+    The violation is the gain in H. The arc is on the opposite bound, or interior where H is convex in the control.
     """
-    values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
-    sizes = np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)
-    scales = np.concatenate([samples.control_scale, sizes])
-    # At an upper limit both the switching function and the reversed multiplier must be negative.
-    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
-    subarcs = plan.segment_subarc_indices[samples.segments]
-    kinds = plan.structure.arc_kind_matrix()[: pull.shape[0], subarcs]
+    kinds = plan.structure.control_arc_kinds[:, plan.segment_subarc_indices[samples.segments]]
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
-    regular = np.array(plan.structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    rows = [*itertools.chain(*find_linear_path_constraints(samples).rows.values())]
-    limiting = np.isin(np.arange(len(pull)), samples.phase.controls.size + np.array(rows, dtype=int))[:, None]
-    affine = limiting | np.pad(mask_affine_controls(samples), (0, len(values)))[:, None]
-    checked = (affine | regular) & (signs != 0)
-    violation = np.where(checked, signs * pull, 0.0)
-    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    asked = select_kind(regular | limiting, ArcKind.INTERIOR, opposite)
+    regular = np.array(plan.structure.regular[: len(kinds)], dtype=bool)[:, None]
+    checked = (mask_affine_controls(samples)[:, None] | regular) & (signs != 0)
+    gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
+    violation = np.where(checked, signs * gain, 0.0)
     for own, own_kinds in zip(violation, kinds, strict=True):
         clear_violations_near_switches(own, own_kinds)
+    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    asked = select_kind(regular, ArcKind.INTERIOR, opposite)
     return _insert_arc_at_largest_violation(samples, plan.structure, violation, asked)
 
 
