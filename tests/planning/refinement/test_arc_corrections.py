@@ -189,19 +189,6 @@ def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
     assert held[0].tolist() == [FREE, FREE, UP, UP, FREE] and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
 
 
-STRUCTURE = PhaseStructure((0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6)
-
-
-def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:
-    """At the bound itself where that is the tightest; with the constraint at its limit where that is tighter."""
-    up = LIMITS.insert_control_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
-    assert up.times == (0.0, 2.0, 2.5, 3.5, 4.0) and up.kinds[2] == (UP, *STRUCTURE.kinds[1][1:])
-    held = LIMITS.insert_control_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
-    assert held.kinds[-1][0] is SING and held.kinds[-1][2 + 5] is UP and held.kinds[-1][2] is FREE
-    free = LIMITS.insert_control_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
-    assert free.kinds[-1] == (LOW, FREE, *(FREE,) * 7)
-
-
 # Vector controls bounded in norm that hold state constraints: arcs along which the whole vector is
 # singular.
 

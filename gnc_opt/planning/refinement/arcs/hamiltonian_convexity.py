@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, select_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 SLOPE_PROBE_SHARE = 0.1
@@ -158,20 +158,3 @@ class LinearPathLimits:
             above[row] = np.where(np.isnan(slope), np.inf, np.max(ends, axis=0))
             below[row] = np.where(np.isnan(slope), -np.inf, np.min(ends, axis=0))
         return above, below
-
-    # --- corrections ---
-
-    def insert_control_arc(
-        self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
-    ) -> PhaseStructure:
-        """Return the structure with another kind of a row over an interval (s), and of the associated one.
-
-        The new kind is required at a sample.
-        """
-        if row not in self.rows or not kind.is_at_limit:
-            return structure.with_inserted_arc(row, *interval, kind)
-        own, held = self.label_control_arcs(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
-        for path, kinds in held.items():
-            if kinds[sample].is_at_limit:
-                structure = structure.with_inserted_arc(structure.n_controls + path, *interval, kinds[sample])
-        return structure.with_inserted_arc(row, *interval, own[sample])

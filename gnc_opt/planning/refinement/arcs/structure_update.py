@@ -33,7 +33,6 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    find_linear_path_constraints,
     mask_affine_controls,
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
@@ -121,8 +120,7 @@ def _insert_arc_at_largest_violation(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_largest_violation_interval(samples.times, violation[i])
     label = samples.phase.controls.labels[i]
-    limits = find_linear_path_constraints(samples)
-    extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
+    extended = structure.with_inserted_arc(i, start, end, asked[i, j])
     if extended == structure:  # between boundaries that are a rounding apart
         return None, ""
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
