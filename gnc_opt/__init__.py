@@ -204,7 +204,7 @@ def __getattr__(name: str) -> Any:
     if name in _PACKAGES:
         return import_module(f"gnc_opt.{name}")
     if name == "__version__":
-        from gnc_opt.runtime_environment import get_package_version
+        from gnc_opt.threads_and_package_versions import get_package_version
 
         return get_package_version("gnc_opt")
     from gnc_opt.renamed_public_names import raise_missing_name_error

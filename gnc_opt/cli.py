@@ -71,7 +71,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _build_argument_parser() -> argparse.ArgumentParser:
-    from gnc_opt.runtime_environment import get_package_version
+    from gnc_opt.threads_and_package_versions import get_package_version
 
     parser = _Parser(
         prog="gnc-opt",

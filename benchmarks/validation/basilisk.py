@@ -33,8 +33,8 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.control import Controller
-from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mean_motion
+from gnc_opt.threads_and_package_versions import import_optional_package
 from problems.rendezvous import ALTITUDE, INERTIA, MASS, chaser_model
 from problems.rendezvous_tracking.control import DT, Tracking, plan
 

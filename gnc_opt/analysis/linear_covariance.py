@@ -29,10 +29,10 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import TINY
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
 from gnc_opt.text_html_and_json_formatting import PrintableResult, format_percentage, pluralise_noun
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 def format_covariance_table(found: LinearCovariance) -> str:

@@ -27,10 +27,10 @@ from gnc_opt.control.sampled_data_discretization import convert_to_continuous_po
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import ROUNDING
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.sensor_and_actuator_block import Block, Defaults, Parameters, Step, StepContext
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 _PROBE = "probe of the command"
 

@@ -43,7 +43,7 @@ from gnc_opt.control.sampled_data_discretization import (
 )
 from gnc_opt.errors import DesignError
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 @limit_to_one_thread()

@@ -43,7 +43,7 @@ from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.errors import DesignError, suggest_similar_name
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import is_rank_deficient
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 

@@ -23,7 +23,7 @@ import scipy
 from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 _AT_ZERO = 1e-8
 """Poles smaller than this share of the largest (sampled: of one) define no time scale (integrators, delays)."""

@@ -55,7 +55,7 @@ from gnc_opt.errors import ArgumentError, DesignError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import SMALL, are_jacobians_equal
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 def report_regulator_poles_and_margins(

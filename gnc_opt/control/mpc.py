@@ -57,7 +57,7 @@ from gnc_opt.errors import ArgumentError, DesignError, quote_value, unknown_name
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions of a solved QP, with limits scaled to [-1, 1]."""

@@ -65,7 +65,7 @@ from gnc_opt.control.sampled_data_discretization import (
 from gnc_opt.control.super_twisting_observer import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote_value
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 def _build_sliding_mode_command(

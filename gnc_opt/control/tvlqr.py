@@ -37,7 +37,7 @@ from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 @dataclass(frozen=True, eq=False)

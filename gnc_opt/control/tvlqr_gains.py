@@ -225,14 +225,14 @@ def _iterate_riccati_recursion(
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
 
-    def linearize_plant_within_step(times: Array) -> tuple[Array, Array]:
+    def linearize_plant_within_control_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.control_after_final_time[:, None], reference.u(within))
         return deviation.linearize_error_dynamics_at_times(within, reference.x(within), u)
 
     steps = [
         discretize_time_varying_plant(
-            linearize_plant_within_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f)
+            linearize_plant_within_control_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f)
         )
         for k in range(count)
     ]

@@ -39,7 +39,7 @@ from gnc_opt.model.model_variables import (
 )
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import EQUAL
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 @limit_to_one_thread()

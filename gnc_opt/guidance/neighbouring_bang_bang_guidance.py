@@ -44,8 +44,8 @@ from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, Re
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.numerical_tolerances import CONVEX, RANK, TINY
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 _MET = 1e-6
 """Largest end error, as the change of switching times that corrects it, in shares of the duration."""

@@ -14,8 +14,8 @@ import scipy
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.text_html_and_json_formatting import format_json
+from gnc_opt.threads_and_package_versions import import_optional_package
 
 
 def read_csv_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:

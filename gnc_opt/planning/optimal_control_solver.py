@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import MOVED_START
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_point_family
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 class Resolver:
@@ -127,7 +127,7 @@ class Resolver:
                 f"problem '{problem.name}' was not solved next to the known solution, and cold=False excludes a cold "
                 "solve: use a smaller variation, or omit cold=False."
             )
-        return record_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
+        return label_solution_with_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
     def _try_warm_start(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
@@ -136,12 +136,12 @@ class Resolver:
             known_switches = KnownSwitches.from_solution(near)
         found = None if known_switches is None else known_switches.solve_with_known_switches(problem)
         if found is not None:
-            return record_solve_method(found, SolveMethod.SWITCH_TIMES)
+            return label_solution_with_solve_method(found, SolveMethod.SWITCH_TIMES)
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
             found = arcs.solve_with_known_arcs(problem, self.tol or DEFAULT_TOLERANCE, check=False)
-            return None if found is None else record_solve_method(found, SolveMethod.WARM)
+            return None if found is None else label_solution_with_solve_method(found, SolveMethod.WARM)
         start = self.solution if near is None else near
         meshes = {name: phase.mesh for name, phase in self.solution.phases.items()}
         found = solve_problem_on_mesh(
@@ -153,7 +153,7 @@ class Resolver:
         )
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return record_solve_method(found, SolveMethod.WARM) if found.status.solved else None
+        return label_solution_with_solve_method(found, SolveMethod.WARM) if found.status.solved else None
 
 
 def _list_variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
@@ -280,7 +280,7 @@ def solve(
         )
         if tol is not None and found.status.solved:
             found = StagedRefinement(found, tol, budget, check, None, progress).run_stages(structure)
-        found = found if guess is None else record_solve_method(found, SolveMethod.WARM)
+        found = found if guess is None else label_solution_with_solve_method(found, SolveMethod.WARM)
     if moved:
         found = _record_solution_provenance(found, MOVED_START, moved)
     if throw and not (found.status.solved or found.status is Status.INTERRUPTED):
@@ -288,7 +288,7 @@ def solve(
     return found
 
 
-def record_solve_method(solution: Solution, way: SolveMethod) -> Solution:
+def label_solution_with_solve_method(solution: Solution, way: SolveMethod) -> Solution:
     return _record_solution_provenance(solution, "way", way.value)
 
 
@@ -305,10 +305,10 @@ def _solve_modified_problem(
         known_switches = KnownSwitches.from_solution(known)
         found = None if known_switches is None else known_switches.solve_with_known_switches(problem)
         if found is not None:
-            return record_solve_method(found, SolveMethod.SWITCH_TIMES)
+            return label_solution_with_solve_method(found, SolveMethod.SWITCH_TIMES)
     check = not in_a_loop or not (known.history is None or _has_solution_converged(known))
     found = KnownArcs.from_solution(known).solve_with_known_arcs(problem, tol, check)
-    return None if found is None else record_solve_method(found, SolveMethod.WARM)
+    return None if found is None else label_solution_with_solve_method(found, SolveMethod.WARM)
 
 
 def _has_solution_converged(found: Solution) -> bool:
@@ -328,6 +328,6 @@ def _restart_refinement(
     if _has_solution_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm
     cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)
-    cold = record_solve_method(cold, SolveMethod.COLD)
+    cold = label_solution_with_solve_method(cold, SolveMethod.COLD)
     found = [Candidate(s, s.history, "") for s in (cold, warm) if s.history is not None]
     return found[select_best_candidate(found, settings["tol"])].solution if found else cold

@@ -29,7 +29,7 @@ from gnc_opt.plot.vehicle_motion_sampling import (
     sample_ellipsoid_surface,
     sample_vehicle_motion,
 )
-from gnc_opt.runtime_environment import import_optional_package
+from gnc_opt.threads_and_package_versions import import_optional_package
 
 _INSTANTS = (41, 241)
 """Smallest and largest number of instants of a motion."""

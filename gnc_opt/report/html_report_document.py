@@ -16,7 +16,7 @@ from string import Template
 from typing import Any
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.runtime_environment import get_package_version
+from gnc_opt.threads_and_package_versions import get_package_version
 
 PANEL_POINTS = 324.0
 """Width of half a figure, points: `gnc_opt.plot.figure_style.PANEL_WIDTH`, whose module needs matplotlib."""

@@ -154,7 +154,7 @@ def _build_free_parameters_section(problem: Problem) -> str:
 def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
-    def replace_repeated_section_by_reference(part: str) -> str:
+    def refer_to_identical_section_of_earlier_phase(part: str) -> str:
         earlier = shown.setdefault(part, phase.name) if part else phase.name
         return part if earlier == phase.name else f"<p>As in phase {escape(earlier)}.</p>"
 
@@ -167,7 +167,7 @@ def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) 
         f"<h3>Phase {escape(phase.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (phase.restatement.texts if phase.restatement else ())),
         "<h4>Dynamics</h4>",
-        replace_repeated_section_by_reference(_build_dynamics_section(problem, phase)),
+        refer_to_identical_section_of_earlier_phase(_build_dynamics_section(problem, phase)),
         "<h4>States, controls and times</h4>",
         format_html_table(
             ("", "initial value", "final value", "limits", "unit"),
@@ -189,7 +189,7 @@ def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) 
         _add_html_section_title(
             "h4",
             "Parameters of the model",
-            replace_repeated_section_by_reference(_build_parameter_table(problem, phase)),
+            refer_to_identical_section_of_earlier_phase(_build_parameter_table(problem, phase)),
         ),
     ]
     return "".join(body)

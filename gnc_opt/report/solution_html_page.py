@@ -36,11 +36,6 @@ from gnc_opt.plot.control_figures import find_declared_controls, has_phase_contr
 from gnc_opt.plot.time_plot_axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.trajectory_figures import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
-from gnc_opt.report.control_structure_margins import (
-    StructureMargin,
-    iterate_control_structure_margins,
-    select_largest_risks,
-)
 from gnc_opt.report.html_report_document import (
     embed_svg_figure,
     format_shell_command_as_html,
@@ -55,6 +50,11 @@ from gnc_opt.report.problem_statement_html import (
     format_objective_section,
     format_problem_statement,
     iterate_variables_with_rows,
+)
+from gnc_opt.report.switching_structure_margins import (
+    StructureMargin,
+    iterate_control_structure_margins,
+    select_largest_risks,
 )
 from gnc_opt.text_html_and_json_formatting import (
     Html,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.runtime_environment import list_software_versions
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.dispersions import RandomRotation
 from gnc_opt.text_html_and_json_formatting import pluralise_noun
+from gnc_opt.threads_and_package_versions import list_software_versions
 
 _TIMES = dict.fromkeys(("period", "minimum_on"), "s")
 """Units of values that are no parameters of the loop."""

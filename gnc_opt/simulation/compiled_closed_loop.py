@@ -359,7 +359,7 @@ class CompiledLoop:
     def _build_initial_closed_loop_states(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
         (X, C), (other, others) = (
-            folded.compute_initial_state_and_constants(known, P) for folded in self._step_executors
+            folded.compute_initial_loop_state_and_constants(known, P) for folded in self._step_executors
         )
         return np.stack([X, other]), (C, others)
 

@@ -229,7 +229,7 @@ class _KernelBuilder(ControlStep):
             parts |= self.build_initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
             parts[f"push {i}"] = link.block.initial_memory(
-                ca.SX.zeros(link.size), self.select_block_parameters(link), tick
+                ca.SX.zeros(link.size), self.select_parameters_of_block(link), tick
             )
         before = ca.Function("before", [column, self.P], [y, self.state.stack_vector_by_name(parts)])
         kind = _get_casadi_symbol_type(wiring.controller.start)

@@ -46,7 +46,7 @@ class StepExecutor:
             n_done += 1
             n_done += self._machine_code_step_function(final.copy(), rows[n_done:], C, final)
 
-    def compute_initial_state_and_constants(self, known: Array, P: Array) -> tuple[Array, Array]:
+    def compute_initial_loop_state_and_constants(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))

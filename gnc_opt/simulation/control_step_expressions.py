@@ -94,13 +94,13 @@ class ControlStep:
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = StepContext(0.0, length, self.wiring.dt, self.split_plant_state(x))
         return [
-            link.block.initial_memory(ca.SX.zeros(link.size), self.select_block_parameters(link), tick).shape[
-                0
-            ]
+            link.block.initial_memory(
+                ca.SX.zeros(link.size), self.select_parameters_of_block(link), tick
+            ).shape[0]
             for link in links
         ]
 
-    def select_block_parameters(self, link: BlockLink) -> dict[str, Any]:
+    def select_parameters_of_block(self, link: BlockLink) -> dict[str, Any]:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
@@ -122,7 +122,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.sensors):
             key, p, signal = (
                 f"sensor {i}",
-                self.select_block_parameters(link),
+                self.select_parameters_of_block(link),
                 stack_named_signals(signals, link.on),
             )
             before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
@@ -150,7 +150,7 @@ class ControlStep:
             noise = w[key][minor * count : (minor + 1) * count]
             wave = stack_actuator_waveforms([waves[n] for n in link.on])
             wave, step = link.block.propagate_wave(
-                tick, wave, memory[key], self.select_block_parameters(link), noise
+                tick, wave, memory[key], self.select_parameters_of_block(link), noise
             )
             memory[key] = step.state
             _mark_saturated_components(saturated, step, link, origin)
@@ -167,7 +167,7 @@ class ControlStep:
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
-            block, p = link.block, self.select_block_parameters(link)
+            block, p = link.block, self.select_parameters_of_block(link)
             signal = (
                 stack_named_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             )
@@ -197,7 +197,7 @@ class ControlStep:
             by_name = self.split_plant_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
-                memory, p = memories[f"push {i}"], self.select_block_parameters(link)
+                memory, p = memories[f"push {i}"], self.select_parameters_of_block(link)
                 value = link.block.value(t, by_name, memory, p)  # type: ignore[attr-defined]
                 if link.on[0] in plant.controls:
                     extra_u[plant.controls.slice(link.on[0])] += value
@@ -255,7 +255,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
             tick = StepContext(w["t"], self.wiring.dt, self.wiring.dt, self.split_plant_state(state["plant"]))
-            new[key] = link.block.update(tick, state[key], self.select_block_parameters(link), w[key])  # type: ignore[attr-defined]
+            new[key] = link.block.update(tick, state[key], self.select_parameters_of_block(link), w[key])  # type: ignore[attr-defined]
         return new
 
     def accumulate_control_effort(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:

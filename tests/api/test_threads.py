@@ -9,7 +9,7 @@ from testing.models import dynamics, one_phase
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import gnc_opt as go
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 def counts() -> set[int]:

@@ -50,7 +50,7 @@ from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, PhaseScales, Scales
 from gnc_opt.planning.optimality.switching_time_problem import Switches
-from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
+from gnc_opt.planning.optimality.trajectory_interpolation import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, unbounded_interval
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
@@ -114,14 +114,13 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
 )
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients, recompute_stored_data
 from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
 from gnc_opt.plot.campaign_figures import plot_run_controls, plot_run_envelopes
 from gnc_opt.plot.figure_style import create_figure_with_axes_rows, format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion_sampling import get_motion_time_span, sample_vehicle_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.control_structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.report.html_report_document import (
     build_html_document,
     embed_svg_figure,
@@ -135,6 +134,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_variable_name,
 )
 from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
+from gnc_opt.report.switching_structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_block_chain
 from gnc_opt.simulation.campaign_performance_measures import compute_percentile_envelope
 from gnc_opt.simulation.confidence_intervals import (

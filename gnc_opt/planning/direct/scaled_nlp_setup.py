@@ -26,7 +26,7 @@ from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.runtime_environment import list_software_versions
+from gnc_opt.threads_and_package_versions import list_software_versions
 
 ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 

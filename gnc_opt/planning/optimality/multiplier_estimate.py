@@ -23,7 +23,7 @@ from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
 from gnc_opt.numerical_tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights
-from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
+from gnc_opt.planning.optimality.trajectory_interpolation import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem

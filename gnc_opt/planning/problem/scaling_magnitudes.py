@@ -33,7 +33,7 @@ def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = Tr
     """
     start = build_phase_guess(phase, SAMPLES, perturbed=False)
     numbers = phase.numbers
-    controls = choose_magnitudes_from_bounds(
+    controls = choose_scaling_magnitudes_from_bounds(
         numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
     )
     if overridden:
@@ -47,7 +47,7 @@ def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = Tr
     reach = np.where(
         reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
     )
-    states = choose_magnitudes_from_bounds(numbers.states, reach)
+    states = choose_scaling_magnitudes_from_bounds(numbers.states, reach)
     if overridden:
         _overwrite_scales_by_user_input(states, phase.model.states, numbers.scales)
     return states, controls
@@ -87,7 +87,7 @@ def _estimate_state_rate_changes(phase: Phase, start: SampledGuess, times: Array
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
-def choose_magnitudes_from_bounds(interval: Interval, reach: Array) -> Array:
+def choose_scaling_magnitudes_from_bounds(interval: Interval, reach: Array) -> Array:
     """Return typical magnitudes: the larger of two finite bounds, else ``reach``, else 1."""
     bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
     limits = np.maximum(

@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 
 WARM_START_MAX_SOLVES = 6
 """Largest number of solves; more indicate that the known solution is not close."""

@@ -35,10 +35,10 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.problem_relaxation import Relaxation, list_problem_relaxations
+from gnc_opt.planning.study.state_subset_relaxation import Relaxation, list_problem_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 @limit_to_one_thread()

@@ -33,8 +33,8 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, list_distinct_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.optimality_check import verify
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_html_and_json_formatting import PrintableResult
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 MISS = 0.1
 """Relative propagation error and defect of a phase above which, together, a solution is spurious (rendezvous: 0.3 and

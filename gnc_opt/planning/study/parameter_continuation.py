@@ -22,8 +22,8 @@ from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.renamed_public_names import StatusWord
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_html_and_json_formatting import PrintableResult
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 Family: TypeAlias = Callable[[float], Problem]
 

@@ -25,8 +25,8 @@ from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_html_and_json_formatting import PrintableResult
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

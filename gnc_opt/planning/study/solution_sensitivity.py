@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.solution_from_nlp_result import build_state_polyn
 from gnc_opt.planning.study.kkt_sensitivity import DataPerturbation, KktPoint, SolutionDerivative
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from gnc_opt.numerical_tolerances import replace_zeros_by_one, set_nonfinite_to_
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.scaling_magnitudes import (
-    choose_magnitudes_from_bounds,
+    choose_scaling_magnitudes_from_bounds,
     estimate_state_and_control_magnitudes,
 )
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -53,7 +53,9 @@ def choose_variable_scales(
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     places = transcription.parameter_places
-    scales[places] = choose_magnitudes_from_bounds(problem.get_parameter_bounds(), np.abs(start[places]))
+    scales[places] = choose_scaling_magnitudes_from_bounds(
+        problem.get_parameter_bounds(), np.abs(start[places])
+    )
     return scales
 
 

@@ -41,7 +41,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_value_changes, locate_maximum_over_time
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients
 
 ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""

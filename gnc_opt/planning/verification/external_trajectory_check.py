@@ -23,7 +23,11 @@ from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory_polynomials
+from gnc_opt.planning.optimality.trajectory_interpolation import (
+    FittedPhase,
+    SampledPhase,
+    fit_trajectory_polynomials,
+)
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -45,7 +49,7 @@ from gnc_opt.planning.solution.state_and_control_scales import take_largest_vari
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
 def reformulate_sampled_phase(problem: Problem, phase: Phase, own: SampledPhase, q: Array) -> SampledPhase:
@@ -110,9 +114,8 @@ def verify_trajectory(
 
     Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
 
-    The samples are interpolated by polynomials (module `trajectory_fit`). Costates and multipliers are estimated by
-    least squares from adjoint equation, stationarity and transversality (module `multiplier_estimate`). If no
-    multipliers satisfy these conditions, a condition fails.
+    Costates and multipliers of the interpolated samples (module `trajectory_interpolation`) are estimated by least
+    squares (module `multiplier_estimate`). If none satisfy adjoint equation and transversality, a condition fails.
 
     Parameters
     ----------

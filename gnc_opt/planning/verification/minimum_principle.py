@@ -114,10 +114,9 @@ def _estimate_hamiltonian_decreases(
 
 
 def _locate_largest_hamiltonian_decrease(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    def describe_control(i: int, j: int) -> str:
-        return s.describe_sample(j, what + s.phase.controls.labels[i])
-
-    return Worst.find_largest_value(loss, describe_control)
+    return Worst.find_largest_value(
+        loss, lambda i, j: s.describe_sample(j, what + s.phase.controls.labels[i])
+    )
 
 
 def check_minimum_principle(

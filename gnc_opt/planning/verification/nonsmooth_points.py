@@ -15,12 +15,12 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, replace_tiny_by_one
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
     compute_hamiltonian_differences,
 )
+from gnc_opt.planning.optimality.sampling_at_narrow_peaks import find_zero_times
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmooth_operations, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult

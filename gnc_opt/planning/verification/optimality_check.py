@@ -8,8 +8,8 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_state_constraints import free_touch_point_times
-from gnc_opt.planning.optimality.narrow_feature_sampling import choose_cell_edges_at_narrow_features
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, Scales
+from gnc_opt.planning.optimality.sampling_at_narrow_peaks import choose_cell_edges_at_narrow_features
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import list_boundary_table_calls, list_table_calls
@@ -39,7 +39,7 @@ from gnc_opt.planning.verification.singular_arcs import (
     check_generalised_legendre_clebsch,
     mask_first_order_singular_arcs,
 )
-from gnc_opt.planning.verification.stored_data_check import (
+from gnc_opt.planning.verification.solution_data_check import (
     check_stored_data,
     compare_costates,
     find_nonfinite_stored_value,
@@ -54,7 +54,7 @@ from gnc_opt.planning.verification.sufficient_conditions import (
     mask_bang_bang_controls,
 )
 from gnc_opt.planning.verification.switching_time_optimality import check_switching_times
-from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 CONDITION_TOLERANCE = 1e-5
 
@@ -285,11 +285,8 @@ def _check_second_variation(
     rounding = estimate_cost_rounding_error(samples)
     cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
-        return [
-            _create_inconclusive_condition(
-                "second order", "a derivative of the problem is not finite", _CANNOT_VARY
-            )
-        ]
+        why = "a derivative of the problem is not finite"
+        return [_create_inconclusive_condition("second order", why, _CANNOT_VARY)]
     return [check_reduced_hessian(solution, samples, cone)]
 
 

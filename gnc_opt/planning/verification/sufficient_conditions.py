@@ -46,7 +46,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients, recompute_stored_data
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""

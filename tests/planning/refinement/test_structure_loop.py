@@ -26,7 +26,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
+from gnc_opt.planning.optimality.sampling_at_narrow_peaks import find_zero_times
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
 from gnc_opt.planning.refinement.arcs import structure_update as f

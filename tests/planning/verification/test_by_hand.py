@@ -36,7 +36,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
 )
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.optimality.switching_time_problem import Switches, SwitchingTimeProblem, SwitchUnknowns
-from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
+from gnc_opt.planning.optimality.trajectory_interpolation import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification import feasibility
@@ -59,7 +59,7 @@ from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
 )
-from gnc_opt.planning.verification.stored_data_check import (
+from gnc_opt.planning.verification.solution_data_check import (
     _compute_relative_difference,
     get_endpoint_gradients,
     has_costates,

@@ -21,7 +21,7 @@ from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import external_trajectory_check as external
 from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimality_check
 from gnc_opt.planning.verification import minimum_principle as controls
-from gnc_opt.planning.verification import stored_data_check as stored
+from gnc_opt.planning.verification import solution_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, combine_condition_results
 

@@ -17,9 +17,9 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
-from gnc_opt.planning.study.problem_relaxation import list_problem_relaxations
+from gnc_opt.planning.study.state_subset_relaxation import list_problem_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_condition_by_convexity
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 from gnc_opt.planning.verification.sufficient_conditions import (
     _list_summands,
     attains_lower_bound,

@@ -38,7 +38,7 @@ from gnc_opt.planning.verification.costate_conditions import (
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients, recompute_stored_data
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
 # minimum.

@@ -27,7 +27,7 @@ from gnc_opt.planning.optimality.kkt_system import NullSpace, are_extreme_eigenv
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.optimality.switching_time_problem import Switches, _find_switching_function_zeros
-from gnc_opt.planning.optimality.trajectory_fit import (
+from gnc_opt.planning.optimality.trajectory_interpolation import (
     SampledPhase,
     _ControlFit,
     _find_control_kinks,
@@ -54,7 +54,7 @@ from gnc_opt.planning.verification.external_trajectory_check import (
 from gnc_opt.planning.verification.feasibility import _find_bound_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_hamiltonian_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_direction_of_least_curvature
-from gnc_opt.planning.verification.stored_data_check import (
+from gnc_opt.planning.verification.solution_data_check import (
     find_nonfinite_stored_value,
     get_endpoint_gradients,
     has_costates,

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import reformulate_sampled_phase
 from gnc_opt.planning.verification.feasibility import check_trajectory_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is
 # written.

@@ -25,12 +25,12 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric_matrix
 from gnc_opt.planning.optimality.optimality_check_scales import Scales, _compute_parameter_deviations
-from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
+from gnc_opt.planning.optimality.trajectory_interpolation import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 
 # Reference magnitudes do not depend on how a problem is written.
 

@@ -21,7 +21,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_why_not_bang_bang,
 )
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients, recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients, recompute_stored_data
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:

@@ -47,7 +47,7 @@ from gnc_opt.planning.verification.reduced_hessian import (
     _increase_mesh_degrees_for_variations,
     build_critical_cone,
 )
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
+from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 from problems import rendezvous
 
 # Switches of bang-bang controls by hand: where they are, in which orders they come, and how steeply.

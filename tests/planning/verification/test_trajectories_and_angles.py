@@ -14,7 +14,7 @@ from testing.internals import Interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.trajectory_fit import (
+from gnc_opt.planning.optimality.trajectory_interpolation import (
     FittedPhase,
     SampledPhase,
     _build_control_interpolants,

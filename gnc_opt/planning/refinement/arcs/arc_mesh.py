@@ -208,7 +208,7 @@ class ArcMesh:
                 elif i in taken:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
-            paths = [i for i in structure.find_control_limit_change(k) if i >= n_controls]
+            paths = [i for i in structure.find_control_limit_replacement(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
                 found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))

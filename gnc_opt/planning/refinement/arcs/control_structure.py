@@ -133,7 +133,7 @@ class PhaseStructure:
         This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
         become active or inactive. If one limit replaces another one, both are active, and the time is a variable.
         """
-        if self.find_state_to_control_limit_change(boundary) or self.find_control_limit_change(boundary):
+        if self.find_state_to_control_limit_change(boundary) or self.find_control_limit_replacement(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         for i in self.find_changed_arcs(boundary):
@@ -157,7 +157,7 @@ class PhaseStructure:
         kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
         return any(not bound[other].is_at_limit for i in kept for other in self.boundary_arc_controls[i])
 
-    def find_control_limit_change(self, boundary: int) -> list[int]:
+    def find_control_limit_replacement(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         signs = [(kinds[i].sign, i) for kinds in pair for i in rows if kinds[i].is_at_limit]
@@ -202,7 +202,7 @@ class PhaseStructure:
         beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
         for k in range(1, self.n_subarcs):
             rows = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
-            rows += [*self.find_control_limit_change(k), *self.find_state_to_control_limit_change(k)]
+            rows += [*self.find_control_limit_replacement(k), *self.find_state_to_control_limit_change(k)]
             for row in rows:
                 beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside

@@ -23,7 +23,7 @@ from gnc_opt.numerical_tolerances import (
     TINY,
 )
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
-from gnc_opt.planning.optimality.narrow_feature_sampling import find_zero_times
+from gnc_opt.planning.optimality.sampling_at_narrow_peaks import find_zero_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (

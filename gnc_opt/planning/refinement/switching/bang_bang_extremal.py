@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
-from gnc_opt.planning.verification.stored_data_check import get_endpoint_gradients
+from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients
 
 
 @dataclass(frozen=True, eq=False)
