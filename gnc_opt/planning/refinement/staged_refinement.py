@@ -216,7 +216,9 @@ class StagedRefinement:
                     first = other
                     yield from self._refine_first_mesh(first)
         middle = yield from self._solve_on_medium_mesh(first.solution)
-        yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
+        with_arcs = [c.history.passes for c in self.candidates if c.stage.endswith("switching times")]
+        if not any(p.solved for passes in with_arcs for p in passes):
+            yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
