@@ -58,14 +58,9 @@ class _MeshSolution:
         return cls(solution, errors, record_iteration(solution, begin, actions, errors))
 
     @property
-    def segment_errors(self) -> Array:
-        """Largest error of each segment of all phases."""
-        return np.concatenate([e.largest_segment_errors for e in self.errors.values()])
-
-    @property
     def largest_finite_error(self) -> float:
         """Largest error of the segments in which all functions are defined."""
-        worst = self.segment_errors
+        worst = np.concatenate([e.largest_segment_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
 

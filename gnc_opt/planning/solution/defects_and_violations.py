@@ -288,7 +288,8 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    return np.asarray(s.x_rate - s.evaluate_with_clipped_controls(s.functions.state_rates, u))
+    rates = s.sample_signal(s.phase.x.derivative())
+    return np.asarray(rates - s.evaluate_with_clipped_controls(s.functions.state_rates, u))
 
 
 def compute_segment_defects(samples: PhaseSamples) -> Array:

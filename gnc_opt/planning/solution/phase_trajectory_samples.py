@@ -143,11 +143,6 @@ class PhaseSamples:
         return self.sample_signal(self.phase.x)
 
     @cached_property
-    def x_rate(self) -> Array:
-        """Time derivatives of the state polynomials."""
-        return self.sample_signal(self.phase.x.derivative())
-
-    @cached_property
     def u_polynomial(self) -> Array:
         """Controls as collocation polynomials (m, n_samples)."""
         return self.sample_signal(self.phase.u)

@@ -30,7 +30,7 @@ def mask_affine_controls(samples: PhaseSamples) -> Mask:
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     linear = _mask_linear_controls(samples)
     for i in limits.rows:
-        bounded[i], linear[i] = limits.has_path_bounds(i), True
+        bounded[i], linear[i] = np.all(np.isfinite(limits.find_tightest_limits(i))), True
     return linear & bounded
 
 
@@ -105,10 +105,6 @@ class LinearPathLimits:
                 slopes[rows] = jacobian[rows, i]
         return cls(samples, found, slopes)
 
-    def has_path_bounds(self, control: int) -> bool:
-        """Return whether a control has finite limits along the whole phase."""
-        return bool(np.all(np.isfinite(self._find_tightest_limits(control))))
-
     def mask_samples_near_limit(self, control: int, margin: float) -> Mask:
         """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
         above, below = self._compute_admissible_controls(control)
@@ -118,11 +114,11 @@ class LinearPathLimits:
 
     def is_control_always_at_limits(self, control: int) -> bool:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
-        s, (least, most) = self.samples, self._find_tightest_limits(control)
+        s, (least, most) = self.samples, self.find_tightest_limits(control)
         off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
         return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
 
-    def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
+    def find_tightest_limits(self, control: int) -> tuple[Array, Array]:
         """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
         above, below = self._compute_admissible_controls(control)
         bounds, size = self.samples.phase.control_bounds, self.samples.times.size
