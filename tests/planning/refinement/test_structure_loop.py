@@ -361,6 +361,17 @@ def plan_of(*resolutions: SubarcMesh, kinds: Any = None) -> ArcMesh:
     return ArcMesh(structure, resolutions)
 
 
+def test_an_arc_is_inserted_where_the_switching_function_has_the_wrong_sign() -> None:
+    """H = (t - 1) (t - 3) u at u = -1: the gain in H lies between 1 and 3 s, where u has to be 1."""
+    found = line(lambda t, k: [(t - 1) * (t - 3)], lambda t, k: [0 * t - 1])
+    plan = ArcMesh(PhaseStructure((0.0, 4.0), ((LOW, FREE),), (), 1), (SubarcMesh(4, 3),))
+    structure, action = f._insert_arc_at_sign_violation(found, plan)
+    assert structure is not None and [kinds[0] for kinds in structure.kinds] == [LOW, UP, LOW]
+    assert structure.times == pytest.approx((0.0, 1.0, 3.0, 4.0), abs=0.05) and action.startswith("arc of u")
+    right = ArcMesh(structure, (SubarcMesh(1, 3), SubarcMesh(2, 3), SubarcMesh(1, 3)))
+    assert f._insert_arc_at_sign_violation(found, right) == (None, "")
+
+
 def test_costates_count_in_shares_of_the_cost() -> None:
     """lam_q' = -1/2 along the second half: 1/4 of 12.25 that the states are worth."""
 
