@@ -109,8 +109,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    slope, curvature = _project_hamiltonian_derivatives_on_equations(
+    slope, curvature = _project_hamiltonian_derivatives_on_active_paths(
         s,
+        at[-1],
         set_nonfinite_to_zero(s.functions.control_gradient(*at)),
         set_nonfinite_to_zero(s.functions.control_hessian(*at)),
     )
@@ -124,15 +125,19 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
 
 
-def _project_hamiltonian_derivatives_on_equations(
-    s: PhaseSamples, gradient: Array, hessian: Array
+def _project_hamiltonian_derivatives_on_active_paths(
+    s: PhaseSamples, mu: Array, gradient: Array, hessian: Array
 ) -> tuple[Array, Array]:
-    """Return slopes and curvatures of H (m, n_times) along single controls, corrected onto the path equations."""
-    equations = s.phase.path_bounds.is_fixed & s.functions.mixed_path_constraints
-    if not np.any(equations):
+    """Return slopes and curvatures of H (m, n_times) along single controls, corrected onto active path constraints.
+
+    These are equations, and inequalities whose multipliers ``mu`` (n_paths, n_times) are not negligible.
+    """
+    active = np.abs(mu) * s.path_scale[:, None] > NEGLIGIBLE * s.hamiltonian_scale
+    active = (active | s.phase.path_bounds.is_fixed[:, None]) & s.functions.mixed_path_constraints[:, None]
+    if not np.any(active):
         return gradient, np.einsum("iij->ij", hessian)
-    normals = s.functions.path_control_jacobian(s.times_inside_segments, s.x, s.u_polynomial)[equations]
-    normals = np.moveaxis(set_nonfinite_to_zero(normals), -1, 0)
+    normals = s.functions.path_control_jacobian(s.times_inside_segments, s.x, s.u_polynomial)
+    normals = np.moveaxis(set_nonfinite_to_zero(normals) * active[:, None], -1, 0)
     tangents = np.eye(gradient.shape[0]) - np.linalg.pinv(normals) @ normals
     slopes = np.einsum("tij,jt->it", tangents, gradient)
     return slopes, np.einsum("tij,jkt,tik->it", tangents, hessian, tangents)
