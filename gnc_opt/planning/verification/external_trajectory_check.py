@@ -197,9 +197,9 @@ def _check_sampled_trajectory(
 def _mark_interpolation_errors_inconclusive(
     verdict: Verdict, problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float, parts: int
 ) -> Verdict:
-    """Return the verdict with failures as inconclusive that denser samples would remove.
+    """Return the verdict with failures as inconclusive that denser or more accurate samples would remove.
 
-    Such failures grow if every second sample is omitted.
+    Such failures grow if every second sample is omitted, or are defects that cancel between times given twice.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
     many = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * FEWEST_SAMPLES}

@@ -5,7 +5,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from testing.models import one_phase
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -100,3 +100,17 @@ def test_wrong_uses_are_named() -> None:
     leg = go.Problem("wrong").phase("leg", model)
     with pytest.raises(go.ProblemError, match="'w', which is an algebraic variable"):
         leg.rates(w=(-1.0, 1.0))
+
+
+@pytest.mark.parametrize("curved", [True, False])
+def test_the_estimated_error_does_not_depend_on_the_form_of_an_active_limit(curved: bool) -> None:
+    """exp(z) >= x is z >= log(x); at the limit, only a change of z along it counts."""
+    model, x, u, z = dynamics("reactor", "x", "u z", lambda x, u, z: {x: u - z})
+    problem, leg = one_phase("limit", model, 0.0, 1.0)
+    leg.initial(x=1.0)
+    leg.final(x=2.0)
+    leg.path("limit", ca.exp(z) - x if curved else z - ca.log(x), lower=0.0)
+    problem.minimize(leg.integral(u**2 + z**2 + 3.0 * z))
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(3.11183849, rel=1e-8)
+    assert found.objective_error.relative_error < 1e-7

@@ -176,6 +176,21 @@ def test_held_arcs_are_checked() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("k", [0.1, -0.2])
+def test_a_control_in_which_h_is_not_convex_jumps_between_its_bounds(k: float) -> None:
+    """A thrust of u + k u^3 takes 2 / sqrt(1 + k) over 1 m; H is convex in u before the switch, concave behind it."""
+    cart, *_ = dynamics("cart", "q v", "u", lambda q, v, u: {q: v, v: u + k * u**3})
+    problem, leg = one_phase("rest to rest", cart, 0.0, (0.1, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(2 / np.sqrt(1 + k), abs=1e-8)
+    assert go.verify(found).ok
+
+
+@pytest.mark.slow
 def test_short_arcs_where_h_is_convex_are_found() -> None:
     """Oscillator to rest, x' = v + e u^2, v' = u - x: costates turn with it, so that all times but one are known.
 

@@ -125,6 +125,13 @@ def test_jumps_between_samples(switches: tuple[float, float]) -> None:
     assert fitted.mesh.degrees == (4,) * (breaks.size - 1)
 
 
+def test_jump_in_the_first_and_in_the_last_interval() -> None:
+    t = np.linspace(0.0, 2.0, 9)
+    fitted = fit_trajectory_polynomials(flown(t, (0.1, 1.9)), pushed)
+    np.testing.assert_allclose(jumps_of(fitted, t), [0.1, 1.9], atol=1e-9)
+    check(fitted, (0.1, 1.9), 2.0)
+
+
 def test_jump_at_a_time_given_twice() -> None:
     """Of both controls; before it the samples are left values."""
     t = np.array([0.0, 0.3, 0.7, 0.7, 1.1, 1.6, 2.0])

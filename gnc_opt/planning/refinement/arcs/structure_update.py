@@ -121,7 +121,7 @@ def _insert_arc_at_largest_violation(
     start, end = find_largest_violation_interval(samples.times, violation[i])
     label = samples.phase.controls.labels[i]
     extended = structure.with_inserted_arc(i, start, end, asked[i, j])
-    if extended == structure:  # between boundaries that are a rounding apart
+    if extended == structure:  # between boundaries that differ by rounding
         return None, ""
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
