@@ -109,12 +109,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    slope, curvature = _project_hamiltonian_derivatives_on_active_paths(
-        s,
-        at[-1],
-        set_nonfinite_to_zero(s.functions.control_gradient(*at)),
-        set_nonfinite_to_zero(s.functions.control_hessian(*at)),
-    )
+    gradient = set_nonfinite_to_zero(s.functions.control_gradient(*at))
+    hessian = set_nonfinite_to_zero(s.functions.control_hessian(*at))
+    slope, curvature = _project_hamiltonian_derivatives_on_active_paths(s, at[-1], gradient, hessian)
     bounds = s.phase.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
