@@ -193,12 +193,12 @@ def _largest_amounts(solution: go.Solution, relative_error: float) -> tuple[floa
         if fine is None:
             return None
         times, x, u = fine
-        end, box = x[:, -1], s.leg.final_bounds
-        miss = np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper
+        end, box = x[:, -1], s.phase.final_bounds
+        miss = np.abs(end - s.phase.x(s.phase.breaks[-1], "left")), box.lower - end, end - box.upper
         misses.append((np.max(miss, axis=0), np.max(np.abs(x), axis=1), s.state_scale))
-        rows = [(x, s.leg.state_bounds, s.state_scale)]
-        if s.leg.path_labels:
-            rows.append((s.functions.path_constraints(times, x, u), s.leg.path_bounds, s.path_scale))
+        rows = [(x, s.phase.state_bounds, s.state_scale)]
+        if s.phase.path_labels:
+            rows.append((s.functions.path_constraints(times, x, u), s.phase.path_bounds, s.path_scale))
         for values, box, scale in rows:
             excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
             violations.append((np.max(excess, axis=1), np.max(np.abs(values), axis=1), scale))
@@ -214,7 +214,7 @@ def _largest_amount(found: Sequence[tuple[Array, Array, Array]]) -> float:
 
 def integrated(s: PhaseSamples, relative_error: float) -> tuple[Array, Array, Array] | None:
     """Integrate the applied control from the initial state by SciPy: times, states and controls, finely; or None."""
-    leg, pieces = s.leg, []
+    leg, pieces = s.phase, []
     x = leg.x(leg.breaks[0])
     absolute = 0.1 * relative_error * np.maximum(np.max(np.abs(s.x), axis=1), 1e-30)
     for left, right in itertools.pairwise(leg.applied.jump_times):
