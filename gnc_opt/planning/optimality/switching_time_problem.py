@@ -135,8 +135,8 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
 
 def _find_switching_function_zeros(s: PhaseSamples, sample: int) -> Indices:
     bounds = s.phase.control_bounds
-    relative_slope = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
-    return np.flatnonzero((relative_slope < NEGLIGIBLE) & (bounds.upper > bounds.lower))
+    is_zero = np.abs(s.relative_control_gradient[:, sample]) < NEGLIGIBLE
+    return np.flatnonzero(is_zero & (bounds.upper > bounds.lower))
 
 
 def _equalise_nearby_switch_times(times: Array, near: float, ends: Array) -> Array:

@@ -63,8 +63,8 @@ class Candidate:
     @property
     def objective_error(self) -> float:
         """Estimated error of the objective, in its unit; infinite without a solution."""
-        found = self.solution.objective_error
-        return found.absolute_error + self.largest_local_error**2 * found.scale
+        error = self.solution.objective_error
+        return error.absolute_error + self.largest_local_error**2 * error.scale
 
     @cached_property
     def integrated_hamiltonian_excess(self) -> float:
@@ -95,10 +95,10 @@ class Candidate:
         """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_local_error <= LOCAL_ERROR_RATIO * tol:
             return False
-        found = self.solution.objective_error
-        if found.relative_error <= tol:
+        error = self.solution.objective_error
+        if error.relative_error <= tol:
             return True
-        return found.infeasibility + self.integrated_hamiltonian_excess <= tol * found.scale
+        return error.infeasibility + self.integrated_hamiltonian_excess <= tol * error.scale
 
     def get_errors_for_solution_ranking(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
@@ -107,11 +107,11 @@ class Candidate:
         """
         if not self.is_solved:
             return math.inf, self.largest_local_error
-        found, estimate = self.solution.objective_error, self.objective_error
-        if estimate > tol * found.scale and self.integrated_hamiltonian_excess < found.suboptimality:
-            by_local_errors = self.largest_local_error**2 * found.scale
-            estimate = found.infeasibility + self.integrated_hamiltonian_excess + by_local_errors
-        return max(estimate / found.scale, tol), self.largest_local_error
+        error, estimate = self.solution.objective_error, self.objective_error
+        if estimate > tol * error.scale and self.integrated_hamiltonian_excess < error.suboptimality:
+            by_local_errors = self.largest_local_error**2 * error.scale
+            estimate = error.infeasibility + self.integrated_hamiltonian_excess + by_local_errors
+        return max(estimate / error.scale, tol), self.largest_local_error
 
     def has_lower_cost_on_same_mesh(self, other: Candidate) -> bool:
         """Return whether the cost is lower than that of another solution on the same mesh, beyond rounding."""
@@ -140,18 +140,18 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
         return len(candidates) - 1
-    among = [k for k in solved if candidates[k].is_verdict_ok] or solved
-    best = min(among, key=lambda k: candidates[k].get_errors_for_solution_ranking(tol))
+    preferred = [k for k in solved if candidates[k].is_verdict_ok] or solved
+    best = min(preferred, key=lambda k: candidates[k].get_errors_for_solution_ranking(tol))
     for k in solved:
-        most = max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error)
-        if candidates[k].largest_local_error <= most and candidates[k].has_lower_cost(candidates[best]):
+        max_error = max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_local_error)
+        if candidates[k].largest_local_error <= max_error and candidates[k].has_lower_cost(candidates[best]):
             best = k
     return best
 
 
 def build_best_solution(
     candidates: Sequence[Candidate],
-    ended: RefinementStatus | None,
+    stopped_by: RefinementStatus | None,
     tol: float,
     begin: float,
     check: bool,
@@ -159,20 +159,20 @@ def build_best_solution(
 ) -> Solution:
     """Return the solution of the best candidate with the history of all candidates, its verdict and its status.
 
-    ``ended`` is the status that stopped the search, None if all stages have run. It began at ``begin``, s, of
+    ``stopped_by`` is the status that stopped the search, None if all stages have run. It began at ``begin``, s, of
     `time.perf_counter`. ``first`` is the solve on the first mesh, for the history.
     """
-    chosen = select_best_candidate(candidates, tol)
-    best = candidates[chosen]
-    interrupted = ended is RefinementStatus.INTERRUPTED
+    best_index = select_best_candidate(candidates, tol)
+    best = candidates[best_index]
+    interrupted = stopped_by is RefinementStatus.INTERRUPTED
     verdict = best.verdict_if_checked if interrupted or not check or not best.is_solved else best.verdict
-    status = _choose_refinement_status(best, verdict, ended, {c.history.status for c in candidates}, tol)
+    status = _choose_refinement_status(best, verdict, stopped_by, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
         tol,
         tuple(passes),
-        sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
+        sum(len(c.history.passes) for c in candidates[:best_index]) + best.history.chosen,
         _format_status_message(status, best, verdict, tol),
         time.perf_counter() - begin,
         None if first is None or first in candidates else first.history.passes[0],
@@ -188,31 +188,31 @@ def _describe_lower_cost_on_coarse_mesh(candidates: Sequence[Candidate], best: C
     lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
     if not lower:
         return {}
-    least = min(lower, key=lambda c: c.minimised_cost)
-    text = f"objective {least.solution.objective:.6g} on a coarse mesh (stage {least.stage}): try multistart"
+    other = min(lower, key=lambda c: c.minimised_cost)
+    text = f"objective {other.solution.objective:.6g} on a coarse mesh (stage {other.stage}): try multistart"
     return {BETTER_COARSE_SOLVE: text}
 
 
 def _choose_refinement_status(
     best: Candidate,
     verdict: Verdict | None,
-    ended: RefinementStatus | None,
-    found: set[RefinementStatus],
+    stopped_by: RefinementStatus | None,
+    candidate_statuses: set[RefinementStatus],
     tol: float,
 ) -> RefinementStatus:
-    if ended is RefinementStatus.INTERRUPTED:
-        return ended
+    if stopped_by is RefinementStatus.INTERRUPTED:
+        return stopped_by
     if verdict is None:
         if best.largest_local_error <= tol or best.is_cost_accurate(tol):
             return RefinementStatus.UNCHECKED
-        return ended or best.history.status
+        return stopped_by or best.history.status
     if best.largest_local_error <= tol:
         return RefinementStatus.CONVERGED if verdict.ok else RefinementStatus.CONDITIONS_FAIL
-    if ended is not None:
-        return ended
+    if stopped_by is not None:
+        return stopped_by
     if best.history.status is RefinementStatus.BUDGET_LIMIT:  # no mesh improved in the whole sequence
         reasons = (RefinementStatus.POINT_LIMIT, RefinementStatus.FAILED)
-        return next((reason for reason in reasons if reason in found), RefinementStatus.STALLED)
+        return next((reason for reason in reasons if reason in candidate_statuses), RefinementStatus.STALLED)
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
@@ -228,12 +228,12 @@ def _format_status_message(
         text += f" at {best.history.final_iteration.where}"
     if best.is_solved:
         text += f"; estimated error of the objective {best.solution.objective_error.absolute_error:.1e}"
-    left = () if verdict is None else verdict.open_conditions
-    if left:
-        shown = left[:SUMMARY_MAX_NAMES]
-        named = "; ".join(f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in shown)
-        more = f"; and {len(left) - SUMMARY_MAX_NAMES} more" if len(left) > SUMMARY_MAX_NAMES else ""
-        text += f". Not passed: {named}{more}"
+    unmet = () if verdict is None else verdict.open_conditions
+    if unmet:
+        shown = unmet[:SUMMARY_MAX_NAMES]
+        names = "; ".join(f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in shown)
+        more = f"; and {len(unmet) - SUMMARY_MAX_NAMES} more" if len(unmet) > SUMMARY_MAX_NAMES else ""
+        text += f". Not passed: {names}{more}"
     text += f". {status.remedy}"
     where = "" if verdict is None else verdict["second order"].where.partition("singular arcs: ")[2]
     return f"{text} {_CHATTERING.format(where=where.partition(';')[0])}" if where else text

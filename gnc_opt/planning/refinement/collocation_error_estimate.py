@@ -52,25 +52,25 @@ class PhaseError:
         phase, s = samples.phase, samples
         integrands = s.evaluate_with_clipped_controls(s.functions.integrands)
         integral_scale = replace_tiny_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
-        gaps = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
-        box = phase.path_bounds
-        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
+        quadrature_errors = np.abs(s.integrate_over_segments(integrands) - s.quadrature_integrals())
+        bounds = phase.path_bounds
+        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
         paths = s.evaluate_with_clipped_controls(s.functions.path_constraints)
-        largest = np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
-        path_scale = replace_tiny_by_one(largest)
+        path_magnitudes = np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits))
+        path_scale = replace_tiny_by_one(path_magnitudes)
         span = phase.duration
         overshoot = _compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times)
         states = s.segment_maxima(overshoot)
         excess = phase.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
         mean, peak = s.integrate_over_segments(excess) / span, s.segment_maxima(excess)
         controls = np.maximum(mean, SMALL * peak)
-        mean = s.integrate_over_segments(box.compute_bound_violation(paths) / path_scale[:, None]) / span
-        peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
+        mean = s.integrate_over_segments(bounds.compute_bound_violation(paths) / path_scale[:, None]) / span
+        peak = s.segment_maxima(_compute_bound_overshoot(paths, bounds, path_scale, s.times))
         mean[s.pure_state_constraints] = peak[s.pure_state_constraints]
         residual = s.integrate_over_segments(compute_costate_residual(s, path_scale))
         costates = (COSTATE_ERROR_WEIGHT * residual) ** 2
         overshoot = np.concatenate([states, controls, mean])
-        errors = compute_segment_defects(s), gaps / integral_scale[:, None], overshoot, costates
+        errors = compute_segment_defects(s), quadrature_errors / integral_scale[:, None], overshoot, costates
         return cls(s, *errors, integral_scale, path_scale)
 
     @property
@@ -79,11 +79,11 @@ class PhaseError:
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
-    def compute_required_error_reduction(self, aim: float) -> Array:
-        """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
-        table = np.log10(np.clip(self.stacked_segment_errors, 1e-99, 1e6) / aim)
-        table[-self.costates.shape[0] :] /= 2.0  # squared residuals
-        return np.asarray(np.max(table, axis=0))
+    def compute_required_error_reduction(self, target: float) -> Array:
+        """Return the decades (K,) by which residuals and violations must decrease for errors of ``target``."""
+        decades = np.log10(np.clip(self.stacked_segment_errors, 1e-99, 1e6) / target)
+        decades[-self.costates.shape[0] :] /= 2.0  # squared residuals
+        return np.asarray(np.max(decades, axis=0))
 
     @property
     def largest_segment_errors(self) -> Array:
@@ -93,8 +93,8 @@ class PhaseError:
     @property
     def largest_error_location(self) -> str:
         """Location and kind of the largest error."""
-        table, phase = self.stacked_segment_errors, self.samples.phase
-        row, k = np.unravel_index(int(np.argmax(table)), table.shape)
+        errors, phase = self.stacked_segment_errors, self.samples.phase
+        row, k = np.unravel_index(int(np.argmax(errors)), errors.shape)
         states, controls = phase.states.labels, phase.controls.labels
         names = [f"dynamics of {label}" for label in states]
         names += [f"integral {label}" for label in phase.integral_labels]
@@ -112,8 +112,8 @@ def estimate_segment_errors(solution: Solution) -> dict[str, PhaseError]:
 def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
     """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded."""
     s, cost_shares = samples, samples.state_scale / samples.cost_scale
-    counts = _find_unconstrained_segments(s, path_scale, cost_shares)[s.segments]
-    return np.where(counts, np.abs(s.adjoint_residual(s.u, s.mu)) * cost_shares[:, None], 0.0)
+    included = _find_unconstrained_segments(s, path_scale, cost_shares)[s.segments]
+    return np.where(included, np.abs(s.adjoint_residual(s.u, s.mu)) * cost_shares[:, None], 0.0)
 
 
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
@@ -121,11 +121,11 @@ def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_
     phase, pure = samples.phase, samples.pure_state_constraints
     on_states = np.abs(phase.state_multipliers) * samples.state_scale[:, None]
     on_paths = np.abs(phase.path_multipliers[pure]) * path_scale[pure, None]
-    pushed = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
+    has_multiplier = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
     jumps = np.any(np.abs(phase.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
-    held = np.logical_or.reduceat(pushed, phase.mesh.point_offsets[:-1])
-    return np.asarray(~(held | jumps[:-1] | jumps[1:]))
+    constrained = np.logical_or.reduceat(has_multiplier, phase.mesh.point_offsets[:-1])
+    return np.asarray(~(constrained | jumps[:-1] | jumps[1:]))
 
 
 def _compute_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
@@ -138,17 +138,17 @@ def _compute_bound_overshoot(values: Array, bounds: Interval, scale: Array, time
 def _interpolate_local_maxima(values: Array, times: Array) -> Array:
     """Replace each local maximum of the samples (n, n_samples) by the peak of the parabola through its neighbours."""
     left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
-    known = (left > 0) & (right > 0)  # segment ends are duplicated in the samples
-    left, right = np.where(known, left, 1.0), np.where(known, right, 1.0)
+    inside_segment = (left > 0) & (right > 0)  # segment ends are duplicated in the samples
+    left, right = np.where(inside_segment, left, 1.0), np.where(inside_segment, right, 1.0)
     middle = values[:, 1:-1]
     with np.errstate(invalid="ignore"):  # without a bound
         a, b = (middle - values[:, :-2]) / left, (values[:, 2:] - middle) / right
-        bend = (b - a) / (left + right)
+        curvature = (b - a) / (left + right)
         slope = (a * right + b * left) / (left + right)
-        top = known & (a >= 0) & (b <= 0) & (bend < 0)
-    gain = np.where(top, slope**2 / np.where(top, -4.0 * bend, 1.0), 0.0)
+        is_peak = inside_segment & (a >= 0) & (b <= 0) & (curvature < 0)
+    rise = np.where(is_peak, slope**2 / np.where(is_peak, -4.0 * curvature, 1.0), 0.0)
     raised = values.copy()
-    raised[:, 1:-1] += gain
+    raised[:, 1:-1] += rise
     return raised
 
 
@@ -159,8 +159,8 @@ def record_iteration(
     solution: Solution, begin: float, actions: Actions | str, errors: Mapping[str, PhaseError] | None = None
 ) -> RefinementIteration:
     """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
-    found = (errors or estimate_segment_errors(solution)).values()
-    worst = max(found, key=lambda e: float(np.max(e.largest_segment_errors)))
+    phase_errors = (errors or estimate_segment_errors(solution)).values()
+    worst = max(phase_errors, key=lambda e: float(np.max(e.largest_segment_errors)))
     return RefinementIteration(
         meshes={name: phase.mesh for name, phase in solution.phases.items()},
         times={name: tuple(float(t) for t in phase.breaks) for name, phase in solution.phases.items()},
@@ -177,7 +177,7 @@ def record_iteration(
 def print_iterations(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
-    """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress_display`."""
+    """Return a context manager whose value prints an iteration, or does nothing; see `gnc_opt.progress_display`."""
     if not shown:
         return nullcontext(lambda _: None)
     from gnc_opt.progress_display import show_refinement_progress

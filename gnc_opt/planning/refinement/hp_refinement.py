@@ -101,9 +101,9 @@ class _Refinement:
     options: SolverOptions | None
     found: list[_MeshSolution] = field(default_factory=list)
 
-    def rank_mesh_solution(self, k: int) -> tuple[bool, float]:
+    def rank_mesh_solution(self, index: int) -> tuple[bool, float]:
         """Return the sort key: solutions within the tolerance first, then by the error of the objective."""
-        solution, record = self.found[k].solution, self.found[k].record
+        solution, record = self.found[index].solution, self.found[index].record
         error = solution.objective_error.absolute_error if record.solved else np.inf
         return not record.solved or record.error > self.tol, error
 
@@ -138,8 +138,8 @@ class _Refinement:
         stage = max(self.tol, STAGE_ERROR_SHARE * min(last.largest_finite_error, 1.0))
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self.tol else self.tol
         while True:
-            found = {name: build_next_mesh(error, stage) for name, error in last.errors.items()}
-            meshes = {name: mesh for name, (mesh, _) in found.items()}
+            planned = {name: build_next_mesh(error, stage) for name, error in last.errors.items()}
+            meshes = {name: mesh for name, (mesh, _) in planned.items()}
             if max(mesh.size for mesh in meshes.values()) <= self.budget.max_points:
                 break
             stage *= 10.0
@@ -147,7 +147,7 @@ class _Refinement:
                 return RefinementStatus.POINT_LIMIT
         if meshes == last.record.meshes:
             return RefinementStatus.STALLED
-        return meshes, sum((actions for _, actions in found.values()), Actions())
+        return meshes, sum((actions for _, actions in planned.values()), Actions())
 
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
@@ -165,14 +165,14 @@ class _Refinement:
 
     def _choose_warm_start_options(self) -> SolverOptions:
         """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
-        options, left = self.options, min(self.found[-1].largest_finite_error, 1.0)
+        options, error = self.options, min(self.found[-1].largest_finite_error, 1.0)
         if options is None:
-            least = min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * self.tol)
-            options = SolverOptions(tolerance=max(least, INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * left))
+            finest = min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * self.tol)
+            options = SolverOptions(tolerance=max(finest, INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * error))
         if options.mu_init is None:
             # A larger barrier parameter moves a nearly optimal point off its bounds and costs iterations.
-            last = compute_final_barrier_parameter(options.tolerance)
-            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_MU * left, last))
+            final = compute_final_barrier_parameter(options.tolerance)
+            options = replace(options, mu_init=final if error <= NOTABLE else max(WARM_MU * error, final))
         return options
 
 
@@ -203,42 +203,44 @@ SEGMENT_MAX_KINKS = 3
 
 def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
-    phase, worst, raised, split = error.samples.phase, error.largest_segment_errors, 0, 0
-    excess = error.compute_required_error_reduction(INNER_TOLERANCE_SHARE * tol)
-    added = np.ceil(excess / _fit_legendre_decay_rates(error))
-    active = find_active_constraint_multipliers(error)
+    phase, largest_errors, raised, split = error.samples.phase, error.largest_segment_errors, 0, 0
+    decades = error.compute_required_error_reduction(INNER_TOLERANCE_SHARE * tol)
+    added_points = np.ceil(decades / _fit_legendre_decay_rates(error))
+    multipliers = find_active_constraint_multipliers(error)
     times, degrees = [float(phase.breaks[0])], list[int]()
     for k, degree in enumerate(phase.mesh.degrees):
         refined = [(float(phase.breaks[k + 1]), degree)]
-        if worst[k] > tol and phase.breaks[k + 1] - phase.breaks[k] >= SAME_TIME * phase.duration:
-            refined = _refine_segment(error, k, active, max(1, int(added[k])))
+        if largest_errors[k] > tol and phase.breaks[k + 1] - phase.breaks[k] >= SAME_TIME * phase.duration:
+            refined = _refine_segment(error, k, multipliers, max(1, int(added_points[k])))
             raised, split = raised + (len(refined) == 1), split + (len(refined) > 1)
         times += [end for end, _ in refined]
         degrees += [degree for _, degree in refined]
     return Mesh.at_times(times, degrees), Actions(raised, split)
 
 
-def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
-    """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added`` points.
+def _refine_segment(
+    error: PhaseError, k: int, multipliers: Array, added_points: int
+) -> list[tuple[float, int]]:
+    """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added_points`` points.
 
     New segments with a kink have degree 3, adjacent ones at most 6, and halves at most `HALF_MAX_DEGREE`.
     """
-    phase, worst = error.samples.phase, float(error.largest_segment_errors[k])
+    phase, largest_error = error.samples.phase, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
-    kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
-    cuts = choose_mesh_breaks_around_kinks(error, k, kinks) if kinks else []
-    if len(cuts) > 2:
-        middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts)]
-        kinked = [any(kink.start <= t <= kink.end for kink in kinks) for t in middles]
-        own = [3 if inside else min(degree, 6) for inside in kinked]
-        return list(zip(cuts[1:], own, strict=True))
-    wanted = degree + added
-    if degree < SMOOTHNESS_MIN_DEGREE and worst < NOTABLE:
-        wanted = min(wanted, 2 * degree)
-    if wanted <= SEGMENT_MAX_DEGREE:
-        return [(right, min(wanted, 2 * degree + 2))]
-    half = min(degree, HALF_MAX_DEGREE)
-    return [(0.5 * (left + right), half), (right, half)]
+    kinks = find_kinks_in_segment(error, k, multipliers) if largest_error < UNKNOWN_TRAJECTORY_ERROR else []
+    breaks = choose_mesh_breaks_around_kinks(error, k, kinks) if kinks else []
+    if len(breaks) > 2:
+        centres = [0.5 * (a + b) for a, b in itertools.pairwise(breaks)]
+        has_kink = [any(kink.start <= t <= kink.end for kink in kinks) for t in centres]
+        new_degrees = [3 if contains else min(degree, 6) for contains in has_kink]
+        return list(zip(breaks[1:], new_degrees, strict=True))
+    degree_needed = degree + added_points
+    if degree < SMOOTHNESS_MIN_DEGREE and largest_error < NOTABLE:
+        degree_needed = min(degree_needed, 2 * degree)
+    if degree_needed <= SEGMENT_MAX_DEGREE:
+        return [(right, min(degree_needed, 2 * degree + 2))]
+    half_degree = min(degree, HALF_MAX_DEGREE)
+    return [(0.5 * (left + right), half_degree), (right, half_degree)]
 
 
 def _fit_legendre_decay_rates(error: PhaseError) -> Array:
@@ -254,9 +256,9 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
             np.hstack(phase.u.values) / s.control_scale[:, None] / phase.duration,
         ]
     )
-    parts = np.split(signals, phase.mesh.point_offsets[1:-1], axis=1)
+    pieces = np.split(signals, phase.mesh.point_offsets[1:-1], axis=1)
     rules = phase.collocation_rules
-    return np.array([_fit_decay_rate_of_segment(v, r.points) for v, r in zip(parts, rules, strict=True)])
+    return np.array([_fit_decay_rate_of_segment(v, r.points) for v, r in zip(pieces, rules, strict=True)])
 
 
 def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
@@ -267,8 +269,8 @@ def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
     sizes = np.max(coefficients, axis=1)
     envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
     floor = ROUNDING * max(float(np.max(sizes)), TINY)
-    kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
-    slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
+    resolved = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
+    slope = np.polyfit(np.arange(resolved.size), np.log10(np.maximum(resolved, floor)), 1)[0]
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
 
 
@@ -283,14 +285,14 @@ class Kink:
     end: float
 
 
-def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink]:
+def find_kinks_in_segment(error: PhaseError, k: int, multipliers: Array) -> list[Kink]:
     """Return the ordered, disjoint kinks in segment k; none if they cannot be distinguished from noise.
 
-    ``active`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
+    ``multipliers`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
     """
-    found = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, active)
+    kinks = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, multipliers)
     merged: list[Kink] = []
-    for kink in sorted(found, key=lambda kink: kink.start):
+    for kink in sorted(kinks, key=lambda kink: kink.start):
         if merged and kink.start <= merged[-1].end:
             merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
         else:
@@ -302,54 +304,54 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
     samples = error.samples
     phase, bounds = samples.phase, samples.phase.control_bounds
-    inside = np.flatnonzero(samples.segments == k)
-    times = samples.times[inside]
+    in_segment = np.flatnonzero(samples.segments == k)
+    times = samples.times[in_segment]
     margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
-    found, gradient = list[Kink](), samples.functions.control_gradient
+    kinks, gradient = list[Kink](), samples.functions.control_gradient
     for i in range(phase.controls.size):
         scale = samples.control_scale[i]
-        for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
-            if np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * scale:
+        for bound in {float(bounds.lower[i]), float(bounds.upper[i])}:
+            if np.min(np.abs(samples.u_polynomial[i, in_segment] - bound)) < 0.1 * scale:
                 u = phase.applied.evaluate_clipped_polynomial(times)
-                u[i] = level
+                u[i] = bound
                 slopes = gradient(times, phase.x(times), u, phase.lam(times), phase.path_multiplier(times))[i]
                 values = slopes * (scale / samples.hamiltonian_scale)
                 if np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE:
-                    before = find_sign_changes(values)
-                    share = values[before] / (values[before] - values[before + 1])
-                    roots = times[before] + share * (times[before + 1] - times[before])
-                    found += [Kink(float(t - margin), float(t + margin)) for t in roots]
-    return found
+                    crossings = find_sign_changes(values)
+                    fraction = values[crossings] / (values[crossings] - values[crossings + 1])
+                    roots = times[crossings] + fraction * (times[crossings + 1] - times[crossings])
+                    kinks += [Kink(float(t - margin), float(t + margin)) for t in roots]
+    return kinks
 
 
-def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
+def _find_active_constraint_kinks(error: PhaseError, k: int, multipliers: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
     phase = error.samples.phase
     points, offsets = phase.point_times, phase.mesh.point_offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
     left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
     kinks = []
-    for row in active[:, first : last + 1]:
-        here = points[first : last + 1]
+    for row in multipliers[:, first : last + 1]:
+        times = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _bracket_activation_time(here, row, int(j), phase.duration)
+            start, end = _bracket_activation_time(times, row, int(j), phase.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
-    """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
+def _bracket_activation_time(times: Array, mu: Array, j: int, duration: float) -> tuple[float, float]:
+    """Return the times between which a constraint multiplier ``mu`` starts, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
-    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
-    across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
-    if across:
-        a, b = across[0]
+    brackets = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
+    brackets = [(a, b) for a, b in brackets if mu[a] * mu[b] < 0]
+    if brackets:
+        a, b = brackets[0]
         start, end = float(times[a]), float(times[b])
     else:
-        a, b = (j - 1, j) if pull[j + 1] == 0 else (j + 1, j + 2)
-        if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
+        a, b = (j - 1, j) if mu[j + 1] == 0 else (j + 1, j + 2)
+        if a < 0 or b >= times.size or mu[a] * mu[b] <= 0 or mu[a] == mu[b]:
             return start, end
-    zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
+    zero = float(times[a] - mu[a] * (times[b] - times[a]) / (mu[b] - mu[a]))
     margin = min(SWITCH_ESTIMATE_ERROR_SHARE, KINK_ERROR_FACTOR * (end - start) / duration) * (end - start)
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
@@ -359,13 +361,13 @@ def find_active_constraint_multipliers(error: PhaseError) -> Array:
     s, phase = error.samples, error.samples.phase
     times, x, u = phase.point_trajectory
     values = np.vstack([x, u, s.functions.path_constraints(times, x, u)])
-    box = stack_intervals([phase.state_bounds, phase.control_bounds, phase.path_bounds])
+    limits = stack_intervals([phase.state_bounds, phase.control_bounds, phase.path_bounds])
     multipliers = np.vstack([phase.state_multipliers, phase.control_multipliers, phase.path_multipliers])
     scale = np.concatenate([s.state_scale, s.control_scale, error.path_scale])[:, None]
-    gap = np.minimum(values - box.lower[:, None], box.upper[:, None] - values)
-    pull = multipliers * scale / s.hamiltonian_scale
-    limits = (box.lower < box.upper)[:, None]
-    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale, NEGLIGIBLE)), pull, 0.0)
+    distance = np.minimum(values - limits.lower[:, None], limits.upper[:, None] - values)
+    scaled = multipliers * scale / s.hamiltonian_scale
+    is_inequality = (limits.lower < limits.upper)[:, None]
+    return np.where(is_inequality & (np.abs(scaled) > np.maximum(distance / scale, NEGLIGIBLE)), scaled, 0.0)
 
 
 def choose_mesh_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
@@ -375,26 +377,26 @@ def choose_mesh_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]
     """
     phase = error.samples.phase
     left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
-    least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
-    least = max(least, SAME_TIME * phase.duration)
-    cuts, edges = [left], list[float]()
+    shortest = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
+    shortest = max(shortest, SAME_TIME * phase.duration)
+    breaks, edges = [left], list[float]()
     for kink in kinks:
         is_wide = kink.end - kink.start > NEGLIGIBLE * phase.duration
         edges += [kink.start, kink.end] if is_wide else [0.5 * (kink.start + kink.end)]
     if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
         edges += _locate_largest_violation(error, k)
     for edge in sorted(edges):
-        if edge - cuts[-1] > least and right - edge > least:
-            cuts.append(edge)
-    return [*cuts, right]
+        if edge - breaks[-1] > shortest and right - edge > shortest:
+            breaks.append(edge)
+    return [*breaks, right]
 
 
 def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
-    s, phase, inside = error.samples, error.samples.phase, error.samples.segments == k
-    paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
-    of_states = phase.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
+    s, phase, in_segment = error.samples, error.samples.phase, error.samples.segments == k
+    paths = s.functions.path_constraints(s.times[in_segment], s.x[:, in_segment], s.u[:, in_segment])
+    of_states = phase.state_bounds.compute_bound_violation(s.x[:, in_segment]) / s.state_scale[:, None]
     of_paths = phase.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]
     excess = np.max(np.vstack([of_states, of_paths]), axis=0)
     dominates = 2.0 * np.max(excess) > error.largest_segment_errors[k]
-    return [float(s.times[inside][np.argmax(excess)])] if dominates else []
+    return [float(s.times[in_segment][np.argmax(excess)])] if dominates else []

@@ -126,7 +126,7 @@ def refine(
 class StagedRefinement:
     """Search for an accurate solution from the ``first`` one, on a first mesh: settings, work budget and candidates.
 
-    ``begin`` is the time at which the search began, s, of `time.perf_counter`; ``_first`` the candidate of ``first``.
+    ``begin`` is the time at which the search began, s, of `time.perf_counter`; ``_first_candidate`` that of ``first``.
     """
 
     first: Solution
@@ -137,7 +137,7 @@ class StagedRefinement:
     progress: bool = False
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
-    _first: Candidate | None = None
+    _first_candidate: Candidate | None = None
     _converged_orders: list[dict[str, PhaseStructure]] = field(default_factory=list)
 
     def run_stages(self, structure: StructureChoice) -> Solution:
@@ -145,20 +145,22 @@ class StagedRefinement:
         if structure not in get_args(StructureChoice):
             similar = suggest_similar_name(str(structure), get_args(StructureChoice))
             raise ProblemError(f"refine() has no structure {structure!r}: {similar}")
-        ended: RefinementStatus | None = None
+        stopped_by: RefinementStatus | None = None
         try:
             for candidate in self._iterate_stages_of_structure(structure):
                 self._record_candidate_solution(candidate)
-                ended = self._classify_termination(candidate)
-                if ended is not None:
+                stopped_by = self._classify_termination(candidate)
+                if stopped_by is not None:
                     break
         except KeyboardInterrupt:
-            ended = RefinementStatus.INTERRUPTED
-        if ended is RefinementStatus.CONVERGED:
-            ended = None
+            stopped_by = RefinementStatus.INTERRUPTED
+        if stopped_by is RefinementStatus.CONVERGED:
+            stopped_by = None
         elif not any(c.is_solved and c.solution is self.first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
-        return build_best_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
+        return build_best_solution(
+            self.candidates, stopped_by, self.tol, self.begin, self.check, self._first_candidate
+        )
 
     def _iterate_stages_of_structure(self, structure: StructureChoice) -> Iterator[Candidate]:
         self._solve_without_fixed_arcs()
@@ -168,14 +170,14 @@ class StagedRefinement:
             self._record_candidate_solution(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
             yield from self._refine_mesh_by_hp(self.first, 1.0)
         else:
-            found = detect_arc_structures(self.first)
+            structures = detect_arc_structures(self.first)
             is_linear = any(np.any(mask_affine_controls(s)) for s in self.first.samples().values())
-            if not (is_linear or _has_arcs(found)):
+            if not (is_linear or _has_arcs(structures)):
                 raise ProblemError(
                     f"no control of '{self.first.problem_name}' enters the Hamiltonian linearly between two finite "
                     'bounds: use structure="none".'
                 )
-            yield from self._solve_with_arcs(self.first, FIRST, found, share=1.0)
+            yield from self._solve_with_arcs(self.first, FIRST, structures, share=1.0)
 
     # --- sequence of solves -------------------------------------------------------------------------------------
 
@@ -203,17 +205,17 @@ class StagedRefinement:
         return (candidate.largest_local_error <= self.tol or has_final_arcs) and candidate.verdict.ok
 
     def _iterate_refinement_stages(self) -> Iterator[Candidate]:
-        first = self._first = Candidate.from_solve(self.first, self.tol, self.begin, FIRST)
+        first = self._first_candidate = Candidate.from_solve(self.first, self.tol, self.begin, FIRST)
         yield from self._refine_first_mesh(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
             ("adaptive barrier", self._solve_with_adaptive_barrier),
         ):
-            other = solve(first, stage)
-            if other is not None:
-                yield other
-                if other.has_lower_cost_on_same_mesh(first):
-                    first = other
+            alternative = solve(first, stage)
+            if alternative is not None:
+                yield alternative
+                if alternative.has_lower_cost_on_same_mesh(first):
+                    first = alternative
                     yield from self._refine_first_mesh(first)
         middle = yield from self._solve_on_medium_mesh(first.solution)
         with_arcs = [c.history.passes for c in self.candidates if c.stage.endswith("switching times")]
@@ -222,50 +224,50 @@ class StagedRefinement:
         fine = self._solve_on_mesh(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
-            again = self._solve_from_minimum_hamiltonian(fine, f"{FINE}, {MINIMUM_OF_H}")
-            if again is not None:
-                yield again
+            restarted = self._solve_from_minimum_hamiltonian(fine, f"{FINE}, {MINIMUM_OF_H}")
+            if restarted is not None:
+                yield restarted
             yield from self._solve_with_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
     def _refine_first_mesh(self, first: Candidate) -> Iterator[Candidate]:
-        found = detect_arc_structures(first.solution)
-        arcs = _has_arcs(found)
-        if arcs:
-            yield from self._solve_with_arcs(first.solution, f"{first.stage}, switching times", found)
-        if first is self._first:
+        structures = detect_arc_structures(first.solution)
+        has_arcs = _has_arcs(structures)
+        if has_arcs:
+            yield from self._solve_with_arcs(first.solution, f"{first.stage}, switching times", structures)
+        if first is self._first_candidate:
             yield first
-        if not arcs or first.is_cost_accurate(self.tol):
+        if not has_arcs or first.is_cost_accurate(self.tol):
             yield from self._refine_mesh_by_hp(first.solution, STAGE_MAX_SHARE, f"{first.stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
-        found = self._solve_on_mesh(MIDDLE, meshes, first)
-        yield found
+        best = self._solve_on_mesh(MIDDLE, meshes, first)
+        yield best
         simulated = with_simulated_guess(self.first.need_problem("refine"))
         if simulated is not None:
-            most = WARM_MAX_ITERATIONS + first.statistics.iterations
+            max_iterations = WARM_MAX_ITERATIONS + first.statistics.iterations
             stage = f"{MIDDLE}, integrated guess"
-            second = self._solve_on_mesh(stage, meshes, None, simulated, most)
+            second = self._solve_on_mesh(stage, meshes, None, simulated, max_iterations)
             yield second
-            if second.is_solved and (not found.is_solved or second.has_lower_cost_on_same_mesh(found)):
-                found = second
-        return found.solution if found.is_solved else first
+            if second.is_solved and (not best.is_solved or second.has_lower_cost_on_same_mesh(best)):
+                best = second
+        return best.solution if best.is_solved else first
 
     def _refine_best_mesh(self) -> Iterator[Candidate]:
         """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.get_errors_for_solution_ranking(self.tol))
-        found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
-        yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
+        refined = yield from self._refine_mesh_by_hp(start.solution, 1.0)
+        yield from self._solve_with_arcs(refined.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
-            if not found.largest_local_error <= self.tol:
+            if not refined.largest_local_error <= self.tol:
                 return
-            finer = yield from self._refine_mesh_by_hp(found.solution, 1.0, HP, share * self.tol)
-            if not finer.objective_error <= 0.5 * found.objective_error:
+            finer = yield from self._refine_mesh_by_hp(refined.solution, 1.0, HP, share * self.tol)
+            if not finer.objective_error <= 0.5 * refined.objective_error:
                 return
-            found = finer
+            refined = finer
 
     # --- single solves ------------------------------------------------------------------------------------------------
 
@@ -278,13 +280,13 @@ class StagedRefinement:
         if problem is not self.first.problem:
             self.first = replace(self.first, problem=problem.frozen())
             meshes = {name: fix_mesh_breaks(phase) for name, phase in self.first.phases.items()}
-            found = self._solve_on_mesh(FIRST, meshes, self.first)
-            self.first = found.solution if found.is_solved else self.first
+            candidate = self._solve_on_mesh(FIRST, meshes, self.first)
+            self.first = candidate.solution if candidate.is_solved else self.first
 
     def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
-        each = max(segments // len(like.phases), segments // 4)
-        uniform = Mesh.uniform(each, STAGE_DEGREE)
+        segments_per_phase = max(segments // len(like.phases), segments // 4)
+        uniform = Mesh.uniform(segments_per_phase, STAGE_DEGREE)
         return {name: max(uniform, phase.mesh, key=lambda m: m.size) for name, phase in like.phases.items()}
 
     def _solve_on_mesh(
@@ -298,7 +300,7 @@ class StagedRefinement:
         trajectory_only: bool = False,
     ) -> Candidate:
         begin = time.perf_counter()
-        found = solve_problem_on_mesh(
+        solution = solve_problem_on_mesh(
             problem or self.first.need_problem("refine"),
             meshes,
             scheme=self.first.scheme,
@@ -309,10 +311,10 @@ class StagedRefinement:
             ),
             progress=self.progress,
         )
-        if found.status is Status.INTERRUPTED:
+        if solution.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        found = replace(found, problem=self.first.problem)
-        return Candidate.from_solve(found, self.tol, begin, stage)
+        solution = replace(solution, problem=self.first.problem)
+        return Candidate.from_solve(solution, self.tol, begin, stage)
 
     def _solve_from_minimum_hamiltonian(self, start: Candidate, stage: str) -> Candidate | None:
         """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
@@ -329,10 +331,10 @@ class StagedRefinement:
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
-        other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
+        adaptive_options = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: phase.mesh for name, phase in start.solution.phases.items()}
-        most = WARM_MAX_ITERATIONS + start.solution.statistics.iterations
-        return self._solve_on_mesh(stage, meshes, None, iterations=most, options=other)
+        max_iterations = WARM_MAX_ITERATIONS + start.solution.statistics.iterations
+        return self._solve_on_mesh(stage, meshes, None, iterations=max_iterations, options=adaptive_options)
 
     def _refine_mesh_by_hp(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
@@ -354,32 +356,32 @@ class StagedRefinement:
         self,
         start: Solution,
         stage: str,
-        found: Mapping[str, PhaseStructure] | None = None,
+        structures: Mapping[str, PhaseStructure] | None = None,
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, if there are arcs whose order has not converged."""
-        found = found or detect_arc_structures(start)
-        order = {name: structure.with_switch_times(()) for name, structure in found.items()}
-        if share < 1.0 and (not _has_arcs(found) or order in self._converged_orders):
+        structures = structures or detect_arc_structures(start)
+        arc_order = {name: structure.with_switch_times(()) for name, structure in structures.items()}
+        if share < 1.0 and (not _has_arcs(structures) or arc_order in self._converged_orders):
             return
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
             budget=self.budget.allot_work_budget_share(share),
-            structures=found,
+            structures=structures,
             options=self.options,
             progress=self.progress,
             segments=segments,
         )
         if history.converged:
-            self._converged_orders.append(order)
+            self._converged_orders.append(arc_order)
         yield Candidate(solution, history, stage)
 
 
-def _has_arcs(found: Mapping[str, PhaseStructure]) -> bool:
+def _has_arcs(structures: Mapping[str, PhaseStructure]) -> bool:
     """Return whether a phase has several subarcs, or limits that are touched at its ends."""
-    return any(s.n_subarcs > 1 or any(s.touches[0] + s.touches[-1]) for s in found.values())
+    return any(s.n_subarcs > 1 or any(s.touches[0] + s.touches[-1]) for s in structures.values())
 
 
 def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:

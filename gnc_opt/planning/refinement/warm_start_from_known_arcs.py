@@ -32,8 +32,8 @@ from gnc_opt.planning.refinement.best_solution_selection import Candidate, build
 from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
-    SwitchedFlow,
-    SwitchStep,
+    BangBangExtremal,
+    NewtonStep,
     satisfies_inequality_limits,
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
@@ -61,14 +61,14 @@ class KnownSwitches:
     solution: Solution
     structure: PhaseStructure
     state_scale: Array
-    step: SwitchStep | None = None
+    step: NewtonStep | None = None
 
     @classmethod
     def from_solution(cls, solution: Solution) -> KnownSwitches | None:
         """Return the data of a refined solution; None unless all its arcs are those of controls at bounds."""
-        channels = {label for phase in solution.phases.values() for label in phase.controls.labels}
-        bounded = all(arc.kind.is_at_limit and arc.channel in channels for arc in solution.structure)
-        if not solution.structure or len(solution.phases) != 1 or not bounded:
+        labels = {label for phase in solution.phases.values() for label in phase.controls.labels}
+        all_bounded = all(arc.kind.is_at_limit and arc.channel in labels for arc in solution.structure)
+        if not solution.structure or len(solution.phases) != 1 or not all_bounded:
             return None
         (s,) = solution.samples().values()
         structure = detect_control_structure(s).replace_arcs(solution.structure, s.phase)
@@ -76,27 +76,27 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same data with the Newton step; None if Newton's method does not apply."""
-        found = _find_accurate_switching_times(self.solution, self.structure, EQUAL)
-        if found is None:
+        optimum = _find_accurate_switching_times(self.solution, self.structure, EQUAL)
+        if optimum is None:
             return None
-        half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
-        finer = _find_accurate_switching_times(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half)
-        structure, flight = finer or found
+        half = replace(optimum[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
+        finer = _find_accurate_switching_times(self.solution, optimum[0], INNER_TOLERANCE_SHARE * EQUAL, half)
+        structure, flight = finer or optimum
         return replace(self, structure=structure, step=flight.step)
 
     def solve_with_known_switches(self, problem: Problem) -> Solution | None:
         """Return the solution of a modified problem with its own switching times; None if that fails."""
         start = truncate_solution_to_start_time(self.solution, problem)
         (phase,) = start.phases.values()
-        left = self.structure.truncate_arcs_before(phase.initial_time)
-        step = self.step if left.n_subarcs == self.structure.n_subarcs else None
+        remaining = self.structure.truncate_arcs_before(phase.initial_time)
+        step = self.step if remaining.n_subarcs == self.structure.n_subarcs else None
         start = recompute_stored_data(replace(start, problem=problem.frozen()))
-        begun = _shift_trajectory_to_initial_states(start)
-        found = None if begun is None else _find_accurate_switching_times(begun, left, EQUAL, step)
-        if begun is None or found is None:
+        shifted = _shift_trajectory_to_initial_states(start)
+        optimum = None if shifted is None else _find_accurate_switching_times(shifted, remaining, EQUAL, step)
+        if shifted is None or optimum is None:
             return None
-        structure, flight = found
-        trajectory = flight.build_solution(begun)
+        structure, flight = optimum
+        trajectory = flight.build_solution(shifted)
         if not satisfies_inequality_limits(trajectory, self.state_scale):
             return None
         labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
@@ -104,10 +104,10 @@ class KnownSwitches:
 
 
 def _find_accurate_switching_times(
-    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
-) -> tuple[PhaseStructure, SwitchedFlow] | None:
-    found = find_optimal_switching_times(solution, structure, accuracy, known)
-    return found if found is not None and found[1].is_cost_accurate(accuracy) else None
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: NewtonStep | None = None
+) -> tuple[PhaseStructure, BangBangExtremal] | None:
+    optimum = find_optimal_switching_times(solution, structure, accuracy, known)
+    return optimum if optimum is not None and optimum[1].is_cost_accurate(accuracy) else None
 
 
 def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Solution:
@@ -115,11 +115,11 @@ def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Soluti
     if len(known.phases) != 1:
         return known
     ((name, phase),) = known.phases.items()
-    begins, first, last = problem.phases[name].numbers.initial_time, phase.initial_time, phase.final_time
-    if begins is None or not begins.is_fixed[0] or not first < begins.lower[0] < last:
+    start, first, last = problem.phases[name].numbers.initial_time, phase.initial_time, phase.final_time
+    if start is None or not start.is_fixed[0] or not first < start.lower[0] < last:
         return known
-    rest = truncate_phase_to_start_time(phase, float(begins.lower[0]))
-    return replace(known, phases={name: rest}, structure=())
+    remaining_phase = truncate_phase_to_start_time(phase, float(start.lower[0]))
+    return replace(known, phases={name: remaining_phase}, structure=())
 
 
 def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
@@ -131,9 +131,9 @@ def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
     ):
         if bounds.is_fixed[0] and bounds.lower[0] != t:
             return None
-    given = phase.initial_bounds
-    moved = np.where(given.is_fixed, given.lower - phase.x(phase.breaks[0]), 0.0)
-    x = PiecewisePolynomial(phase.x.breaks, phase.x.nodes, tuple(v + moved[:, None] for v in phase.x.values))
+    initial_bounds = phase.initial_bounds
+    offset = np.where(initial_bounds.is_fixed, initial_bounds.lower - phase.x(phase.breaks[0]), 0.0)
+    x = PiecewisePolynomial(phase.x.breaks, phase.x.nodes, tuple(v + offset[:, None] for v in phase.x.values))
     return replace(known, phases={phase.name: replace(phase, x=x)})
 
 
@@ -148,9 +148,9 @@ class KnownArcs:
     def from_solution(cls, solution: Solution) -> KnownArcs:
         if not solution.structure:
             return cls(solution, {})
-        found = detect_arc_structures(replace(solution, structure=()))
+        detected = detect_arc_structures(replace(solution, structure=()))
         arcs, phases = solution.structure, solution.phases
-        return cls(solution, {name: s.replace_arcs(arcs, phases[name]) for name, s in found.items()})
+        return cls(solution, {name: s.replace_arcs(arcs, phases[name]) for name, s in detected.items()})
 
     def solve_with_known_arcs(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
@@ -161,15 +161,15 @@ class KnownArcs:
         begin = time.perf_counter()
         start = truncate_solution_to_start_time(self.solution, problem)
         start = replace(start, problem=problem.frozen(), structure=())
-        most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
-        budget = WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
+        max_work = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
+        budget = WorkBudget(max_work, max_passes=WARM_START_MAX_SOLVES)
         if self.structures:
-            phases, known = start.phases, self.structures.items()
-            found = optimise_switching_times(
+            phases, arcs = start.phases, self.structures.items()
+            result = optimise_switching_times(
                 start,
                 tol=tol,
                 budget=budget,
-                structures={name: s.truncate_arcs_before(phases[name].initial_time) for name, s in known},
+                structures={name: s.truncate_arcs_before(phases[name].initial_time) for name, s in arcs},
                 options=KNOWN_ARCS_OPTIONS,
                 segments="nearby",
             )
@@ -180,8 +180,8 @@ class KnownArcs:
                 raise KeyboardInterrupt
             if not first.status.solved:
                 return None
-            found = refine_mesh(first, tol=tol, budget=budget)
-        candidate = Candidate(*found, "nearby")
+            result = refine_mesh(first, tol=tol, budget=budget)
+        candidate = Candidate(*result, "nearby")
         if candidate.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
         check = check or not self._has_arcs_of_known_solution(candidate)
@@ -191,9 +191,9 @@ class KnownArcs:
 
     def _has_arcs_of_known_solution(self, found: Candidate) -> bool:
         """Return whether a solution has the arcs of the known one, or the same mesh."""
-        known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
-        same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
-        return same and (bool(known) or len(found.history.passes) == 1)
+        known_arcs = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
+        has_same_arcs = known_arcs == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
+        return has_same_arcs and (bool(known_arcs) or len(found.history.passes) == 1)
 
 
 def restore_initial_refinement_meshes(known: Solution) -> dict[str, Mesh]:

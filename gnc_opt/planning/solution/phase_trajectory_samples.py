@@ -228,6 +228,11 @@ class PhaseSamples:
         """d(H + mu.c)/du along the applied control (m, n_samples)."""
         return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
 
+    @property
+    def relative_control_gradient(self) -> Array:
+        """Control gradient times the range of each control, relative to H (m, n_samples)."""
+        return self.control_gradient * self.control_scale[:, None] / self.hamiltonian_scale
+
     @cached_property
     def control_hessian(self) -> Array:
         """d2(H + mu.c)/du2 along the applied control (m, m, n_samples)."""

@@ -103,12 +103,11 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
-    relative_slope = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = remove_short_intervals_from_mask(
-        s.times, ~(relative_slope > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE
-    )
-    between = remove_short_intervals_from_mask(s.times, ~np.any(s.is_at_control_bounds, axis=0), MINOR)
-    return np.asarray(~np.any(opens | between, axis=1))
+    is_zero = ~(np.abs(s.relative_control_gradient) > NEGLIGIBLE)
+    is_zero = remove_short_intervals_from_mask(s.times, is_zero, AVERAGING_SHARE_OF_PHASE)
+    is_interior = ~np.any(s.is_at_control_bounds, axis=0)
+    is_interior = remove_short_intervals_from_mask(s.times, is_interior, MINOR)
+    return np.asarray(~np.any(is_zero | is_interior, axis=1))
 
 
 def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mask) -> bool:

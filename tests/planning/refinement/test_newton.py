@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.switching import bang_bang_extremal as c
 from gnc_opt.planning.refinement.switching import bang_bang_extremal as switch_step
 from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
-    SwitchedFlow,
+    BangBangExtremal,
     are_gradients_independent,
     collocate_trajectory,
     compute_newton_step,
@@ -76,7 +76,7 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
     return PhaseStructure(tuple(times), rows, (False,) * (1 + others), 1, 0)
 
 
-def collocated(known: go.Solution, found: PhaseStructure, flight: SwitchedFlow) -> go.Solution:
+def collocated(known: go.Solution, found: PhaseStructure, flight: BangBangExtremal) -> go.Solution:
     return collocate_trajectory(known, flight, ArcMesh.from_integration_steps(found, flight.step_times))
 
 
@@ -349,10 +349,10 @@ def step(*change: float) -> Any:
 def test_a_step_is_that_of_the_optimality_system() -> None:
     rough = RNG.standard_normal((5, 5))
     hessian, gradient = rough @ rough.T + np.eye(5), RNG.standard_normal(5)
-    rows, misses = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
+    rows, residuals = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
     system = np.block([[hessian, rows.T], [rows, np.zeros((2, 2))]])
-    wanted = np.linalg.solve(system, -np.concatenate([gradient, misses]))[:5]
-    assert minimise_quadratic_model(hessian, gradient, rows, misses) == pytest.approx(wanted)
+    wanted = np.linalg.solve(system, -np.concatenate([gradient, residuals]))[:5]
+    assert minimise_quadratic_model(hessian, gradient, rows, residuals) == pytest.approx(wanted)
 
 
 def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:

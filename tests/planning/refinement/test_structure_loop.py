@@ -353,12 +353,12 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
     return np.array(kinds, dtype=object)[found.segments][None, :]
 
 
-def plan_of(*resolutions: SubarcMesh, kinds: Any = None) -> ArcMesh:
-    n = len(resolutions)
+def plan_of(*subarc_meshes: SubarcMesh, kinds: Any = None) -> ArcMesh:
+    n = len(subarc_meshes)
     structure = PhaseStructure(
         tuple(np.linspace(0, 1, n + 1)), kinds or ((LOW, FREE, FREE, FREE, FREE),) * n, (), 1, 2
     )
-    return ArcMesh(structure, resolutions)
+    return ArcMesh(structure, subarc_meshes)
 
 
 def test_an_arc_is_inserted_where_the_switching_function_has_the_wrong_sign() -> None:
@@ -382,7 +382,7 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
     found = f.refine_arc_mesh_by_residuals(wrong, plan, 0.99 * share)
-    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+    assert found is not None and [r.degree for r in found.subarc_meshes] == [4, 7]
     assert f.refine_arc_mesh_by_residuals(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
     assert f.refine_arc_mesh_by_residuals(pushed, plan, 1e-9) is None
@@ -405,7 +405,7 @@ def test_costates_count_in_shares_of_the_cost() -> None:
 def test_a_structure_is_final_if_only_its_mesh_would_change(
     actions: str, error: float, of_objective: float, nearby: bool, expected: bool
 ) -> None:
-    loop = s._StructureLoop(None, 1e-6, None, nearby, None, None, [])  # type: ignore[arg-type]
+    loop = s.StructureIteration(None, 1e-6, None, nearby, None, None, [])  # type: ignore[arg-type]
     found: Any = SimpleNamespace(objective_error=SimpleNamespace(relative_error=of_objective))
     record: Any = SimpleNamespace(error=error, actions=actions)
     assert loop._is_accuracy_sufficient(found, record) is expected

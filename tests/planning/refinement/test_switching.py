@@ -151,4 +151,4 @@ def test_segments_of_a_piece_follow_the_steps_of_an_accurate_integration() -> No
     """24 steps in the first piece, 3 in the second: 6 segments and 1, all of the highest degree."""
     structure = PhaseStructure((0.0, 1.0, 4.0), ((ArcKind.LOWER,), (ArcKind.UPPER,)), (), 1)
     plan = ArcMesh.from_integration_steps(structure, np.append(np.arange(24) / 24, [1.0, 2.0, 3.0, 4.0]))
-    assert [(r.segments, r.degree) for r in plan.resolutions] == [(6, ARC_MAX_DEGREE), (1, ARC_MAX_DEGREE)]
+    assert [(r.segments, r.degree) for r in plan.subarc_meshes] == [(6, ARC_MAX_DEGREE), (1, ARC_MAX_DEGREE)]

@@ -61,114 +61,115 @@ class SubarcMesh:
         return np.linspace(0.0, 1.0, self.segments + 1)
 
     def refine_to_reduce_errors(self, decades: Array) -> SubarcMesh:
-        """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
+        """Return a mesh that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, the segments with the largest positive decades are halved;
         with a polynomial control all are.
         """
-        most = float(np.max(decades))
-        if most <= 0:
+        largest = float(np.max(decades))
+        if largest <= 0:
             return self
         if self.degree < ARC_MAX_DEGREE:
-            points = ADDED_POINTS_MIN if self.smooth else max(ADDED_POINTS_MIN, math.ceil(most))
-            return replace(self, degree=min(self.degree + points, ARC_MAX_DEGREE))
+            added_points = ADDED_POINTS_MIN if self.smooth else max(ADDED_POINTS_MIN, math.ceil(largest))
+            return replace(self, degree=min(self.degree + added_points, ARC_MAX_DEGREE))
         halved = np.flatnonzero((decades > 0) | (self.smooth > 0))
         return self._halve_segments(halved[np.argsort(-decades[halved], kind="stable")])
 
-    def _halve_segments(self, order: Indices) -> SubarcMesh:
-        """Return the resolution with halved segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
-        chosen = order[: max(0, ARC_MAX_SEGMENTS - self.segments)]
-        if not chosen.size:
+    def _halve_segments(self, candidates: Indices) -> SubarcMesh:
+        """Return the mesh with halved segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
+        halved = candidates[: max(0, ARC_MAX_SEGMENTS - self.segments)]
+        if not halved.size:
             return self
-        shares, count = self.segment_boundaries, self.segments + chosen.size
+        boundaries, count = self.segment_boundaries, self.segments + halved.size
         if count == 2 * self.segments and not self.edges:
             return replace(self, segments=count)
-        middles = 0.5 * (shares[chosen] + shares[chosen + 1])
-        edges = tuple(map(float, np.sort(np.append(shares[1:-1], middles))))
+        middles = 0.5 * (boundaries[halved] + boundaries[halved + 1])
+        edges = tuple(map(float, np.sort(np.append(boundaries[1:-1], middles))))
         return replace(self, segments=count, edges=edges)
 
     def raise_control_degree(self, gradient: float) -> SubarcMesh:
-        """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
+        """Return the mesh with a higher degree of singular controls, and enough points for it and the states.
 
         It is unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or the control is not
         smooth.
         """
         if self.smooth == 0 or gradient > DEGREE_GAIN_RATIO * self.gradient:
             return self
-        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
+        new_degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
         degree = min(self.degree + ADDED_POINTS_MIN, ARC_MAX_DEGREE)
-        raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
-        wanted = math.ceil(2 * smooth / degree)
-        return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
+        raised = replace(self, smooth=new_degree, degree=degree, gradient=gradient)
+        n_segments = math.ceil(2 * new_degree / degree)
+        return raised if n_segments <= self.segments else replace(raised, segments=n_segments, edges=())
 
 
 @dataclass(frozen=True)
 class ArcMesh:
-    """Structure and resolution of one phase, one `SubarcMesh` per subarc.
+    """Structure of one phase, and one `SubarcMesh` per subarc.
 
     With ``loose``, state constraints are also released next to their touch points, so that the interior-point barrier
     does not affect the solution there; without limits, a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure
-    resolutions: tuple[SubarcMesh, ...]
+    subarc_meshes: tuple[SubarcMesh, ...]
     loose: bool = False
 
     @classmethod
     def from_structure(cls, structure: PhaseStructure) -> ArcMesh:
-        """Return a plan with the coarsest resolution."""
+        """Return the mesh with the coarsest subarcs."""
         subarcs = range(structure.n_subarcs)
         return cls(structure, tuple(_choose_coarse_subarc_mesh(structure, k) for k in subarcs))
 
     @classmethod
     def from_integration_steps(cls, structure: PhaseStructure, times: Array) -> ArcMesh:
-        """Return a plan with segments of the highest degree, each over few of the integration steps ``times`` (s)."""
+        """Return a mesh with segments of the highest degree, each over few of the integration steps ``times`` (s)."""
         steps = np.histogram(times[:-1], structure.times)[0]
         segments = np.clip(np.rint(steps / STEPS_PER_SEGMENT), 1, ARC_MAX_SEGMENTS)
         return cls(structure, tuple(SubarcMesh(int(n), ARC_MAX_DEGREE) for n in segments))
 
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
-        """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
-        found = cls.from_structure(structure)
+        """Return the segments of a refined mesh, or few segments if its breaks do not match the structure."""
+        coarse = cls.from_structure(structure)
         times = np.asarray(structure.times)
-        ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
-        places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
-        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
-            return found
-        moved = times[0] + breaks[places] * (times[-1] - times[0])  # times of samples and of the mesh differ
-        subarcs = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
+        boundaries, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
+        indices = np.argmin(np.abs(breaks[:, None] - boundaries), axis=0)
+        if np.any(np.diff(indices) < 1) or np.max(np.abs(breaks[indices] - boundaries)) > NOTABLE:
+            return coarse
+        # Times of the samples and of the mesh differ.
+        new_times = times[0] + breaks[indices] * (times[-1] - times[0])
+        subarcs = zip(itertools.pairwise(map(int, indices)), coarse.subarc_meshes, strict=True)
         return replace(
-            found,
-            structure=structure.with_switch_times(tuple(map(float, moved))),
-            resolutions=tuple(_read_subarc_mesh(mesh, *subarc, first) for subarc, first in subarcs),
+            coarse,
+            structure=structure.with_switch_times(tuple(map(float, new_times))),
+            subarc_meshes=tuple(_read_subarc_mesh(mesh, *subarc, first) for subarc, first in subarcs),
         )
 
     def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of another structure with initial resolutions."""
+        """Return the coarsest mesh of another structure."""
         return replace(ArcMesh.from_structure(structure), loose=self.loose)
 
     @property
     def segment_subarc_indices(self) -> Indices:
         """Subarc of every segment (K,)."""
-        return np.repeat(np.arange(self.structure.n_subarcs), [r.segments for r in self.resolutions])
+        return np.repeat(np.arange(self.structure.n_subarcs), [r.segments for r in self.subarc_meshes])
 
     @property
     def subarc_boundary_breaks(self) -> tuple[int, ...]:
         """Indices of the mesh breaks between subarcs, including both ends; A + 1 of them."""
-        return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
+        return (0, *(int(n) for n in np.cumsum([r.segments for r in self.subarc_meshes])))
 
     def build_mesh(self) -> Mesh:
         """Return the mesh, with movable breaks between subarcs except at kinks, which are fixed."""
         times = [self.structure.times[0]]
         degrees: list[int] = []
-        for k, r in enumerate(self.resolutions):
+        for k, subarc_mesh in enumerate(self.subarc_meshes):
             left, right = self.structure.times[k], self.structure.times[k + 1]
-            times += [left + (right - left) * float(share) for share in r.segment_boundaries[1:]]
-            degrees += [r.degree] * r.segments
+            times += [left + (right - left) * float(share) for share in subarc_mesh.segment_boundaries[1:]]
+            degrees += [subarc_mesh.degree] * subarc_mesh.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
-        ends, s = self.subarc_boundary_breaks, self.structure
-        movable = tuple(ends[k] for k in range(1, s.n_subarcs) if not s.has_only_control_kinks(k))
+        boundary_breaks, s = self.subarc_boundary_breaks, self.structure
+        movable = tuple(boundary_breaks[k] for k in range(1, s.n_subarcs) if not s.has_only_control_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
@@ -182,12 +183,12 @@ class ArcMesh:
         released |= np.asarray(structure.regular, dtype=bool)[:, None]
         kinds = select_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
         n_controls = structure.n_controls
-        controls, paths, states = np.split(kinds, [n_controls, n_controls + structure.n_paths])
+        control_kinds, path_kinds, state_kinds = np.split(kinds, [n_controls, n_controls + structure.n_paths])
         return problem.with_fixed_arcs(
             phase,
-            arcs=controls,
-            paths=paths if paths.size else None,
-            states=states if np.any(states != ArcKind.INTERIOR) else None,
+            arcs=control_kinds,
+            paths=path_kinds if path_kinds.size else None,
+            states=state_kinds if np.any(state_kinds != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
             junctions=self._list_state_constraint_junctions(),
         )
@@ -198,46 +199,46 @@ class ArcMesh:
         Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.
         """
         structure, n_controls = self.structure, self.structure.n_controls
-        found: list[tuple[int, int, ArcKind, int, int]] = []
+        junctions: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_subarcs):
-            taken = structure.find_state_to_control_limit_change(k)[:1]
+            control_limit_rows = structure.find_state_to_control_limit_change(k)[:1]
             for i in structure.find_changed_arcs(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
-                if after.is_at_limit and (order or i in taken):
-                    found.append((k, i, after, order, -1 if i in taken else 0))
-                elif i in taken:
-                    found.append((k, i, before, 0, 1))
-            found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
+                if after.is_at_limit and (order or i in control_limit_rows):
+                    junctions.append((k, i, after, order, -1 if i in control_limit_rows else 0))
+                elif i in control_limit_rows:
+                    junctions.append((k, i, before, 0, 1))
+            junctions += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
             paths = [i for i in structure.find_control_limit_replacement(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
-                found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
-        found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
+                junctions.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
+        junctions += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
             Junction(i - n_controls, self.subarc_boundary_breaks[k], kind, conditions, tangent)
-            for k, i, kind, conditions, tangent in found
+            for k, i, kind, conditions, tangent in junctions
         )
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
-        found, ends = [], self.subarc_boundary_breaks
+        polynomials, breaks = [], self.subarc_boundary_breaks
         for i, row in enumerate(self.structure.control_arc_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
-                r = self.resolutions[k]
+                subarc_mesh = self.subarc_meshes[k]
                 if (
                     i not in self.structure.find_controls_fixed_by_limits(int(k))
-                    and r.smooth
-                    and r.smooth < r.segments * r.degree - 1
+                    and subarc_mesh.smooth
+                    and subarc_mesh.smooth < subarc_mesh.segments * subarc_mesh.degree - 1
                 ):
-                    found.append(SmoothControl(i, ends[k], ends[k + 1], r.smooth))
-        return tuple(found)
+                    polynomials.append(SmoothControl(i, breaks[k], breaks[k + 1], subarc_mesh.smooth))
+        return tuple(polynomials)
 
 
 def _read_subarc_mesh(mesh: Mesh, first: int, last: int, coarsest: SubarcMesh) -> SubarcMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
-    shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
+    edges = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
     smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)
-    return SubarcMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
+    return SubarcMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, edges)))
 
 
 def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int) -> SubarcMesh:

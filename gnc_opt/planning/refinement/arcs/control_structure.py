@@ -112,15 +112,15 @@ class PhaseStructure:
         Mixed path constraints determine regular controls; a limit without known boundary controls determines all
         controls.
         """
-        found: set[int] = set()
+        fixed: set[int] = set()
         for i in range(self.n_controls, len(self.orders)):
             if self.kinds[subarc][i].is_at_limit:
-                every = [c for c in range(self.n_controls) if self.regular[c] or not self.regular[i]]
-                own = self.boundary_arc_controls[i]
-                singular = [c for c in own if self.kinds[subarc][c] is ArcKind.SINGULAR]
-                free = [c for c in singular if c not in found]
-                found |= ({*(own or every)} - {*singular}) | {*free[:1]}
-        return found
+                all_controls = [c for c in range(self.n_controls) if self.regular[c] or not self.regular[i]]
+                holders = self.boundary_arc_controls[i]
+                singular = [c for c in holders if self.kinds[subarc][c] is ArcKind.SINGULAR]
+                unassigned = [c for c in singular if c not in fixed]
+                fixed |= ({*(holders or all_controls)} - {*singular}) | {*unassigned[:1]}
+        return fixed
 
     def find_changed_arcs(self, boundary: int) -> list[int]:
         """Return the rows with different kinds in the subarcs before and after a boundary."""
@@ -137,9 +137,9 @@ class PhaseStructure:
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         for i in self.find_changed_arcs(boundary):
-            owners = [kinds[c] for kinds in (before, after) for c in self.boundary_arc_controls[i]]
-            by_regular = self.regular[i] or (bool(self.orders[i]) and ArcKind.SINGULAR not in owners)
-            if not (by_regular or self.has_saturated_control(i, boundary)):
+            control_kinds = [kinds[c] for kinds in (before, after) for c in self.boundary_arc_controls[i]]
+            is_kink = self.regular[i] or (bool(self.orders[i]) and ArcKind.SINGULAR not in control_kinds)
+            if not (is_kink or self.has_saturated_control(i, boundary)):
                 return False
             if before[i].is_at_limit and after[i].is_at_limit:
                 return False
@@ -147,23 +147,23 @@ class PhaseStructure:
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Return whether a control on a state constraint reaches its bound, and others keep the constraint."""
-        sides = (boundary - 1, boundary)
-        singular = [k for k in sides if self.kinds[k][row] is ArcKind.SINGULAR]
+        adjacent = (boundary - 1, boundary)
+        singular = [k for k in adjacent if self.kinds[k][row] is ArcKind.SINGULAR]
         if row >= self.n_controls or len(singular) != 1:
             return False
         if row not in self.find_controls_fixed_by_limits(singular[0]):
             return False
-        bound = self.kinds[sum(sides) - singular[0]]
-        kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
-        return any(not bound[other].is_at_limit for i in kept for other in self.boundary_arc_controls[i])
+        kinds = self.kinds[sum(adjacent) - singular[0]]
+        rows = np.flatnonzero(self.orders * np.all(self.active[:, adjacent], axis=1))
+        return any(not kinds[other].is_at_limit for i in rows for other in self.boundary_arc_controls[i])
 
     def find_control_limit_replacement(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
-        rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
-        signs = [(kinds[i].sign, i) for kinds in pair for i in rows if kinds[i].is_at_limit]
+        rows, adjacent_kinds = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
+        signs = [(kinds[i].sign, i) for kinds in adjacent_kinds for i in rows if kinds[i].is_at_limit]
         sides = [sign * self._get_sign_of_control_effect(i) for sign, i in signs]
-        owners = (self.boundary_arc_controls[row] if row >= self.n_controls else (row,) for row in rows)
-        controls = set(itertools.chain(*owners))
+        limited = (self.boundary_arc_controls[row] if row >= self.n_controls else (row,) for row in rows)
+        controls = set(itertools.chain(*limited))
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def find_state_to_control_limit_change(self, boundary: int) -> list[int]:
@@ -173,24 +173,24 @@ class PhaseStructure:
         the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
         rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
-        bounds = [i for i in rows if i >= self.n_controls + self.n_paths and self.boundary_arc_controls[i]]
+        bounded = [i for i in rows if i >= self.n_controls + self.n_paths and self.boundary_arc_controls[i]]
         # First-order state constraints, and bounds on states that singular controls move.
-        states = [i for i in rows if self.orders[i] == 1 or (i in bounds and not self.orders[i])]
+        states = [i for i in rows if self.orders[i] == 1 or (i in bounded and not self.orders[i])]
         if len(rows) != 2 or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
         first = int(pair[0][limit].is_at_limit)  # whether the limit of the control is active first
         active = [[kinds[i].is_at_limit for i in (state, limit)] for kinds in (pair[first], pair[1 - first])]
-        owner = (limit,) if limit < self.n_controls else self.boundary_arc_controls[limit]
+        controls = (limit,) if limit < self.n_controls else self.boundary_arc_controls[limit]
         boundary_arc_controls = self.boundary_arc_controls[state]
-        if active != [[True, False], [False, True]] or len(owner) != 1:
+        if active != [[True, False], [False, True]] or len(controls) != 1:
             return []
-        others = [i for i in boundary_arc_controls if i not in owner]
-        if owner[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):
+        others = [i for i in boundary_arc_controls if i not in controls]
+        if controls[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):
             return []
-        side = pair[first][state].sign * dict(self.effects[state])[owner[0]]
-        opposite = pair[1 - first][limit].sign * self._get_sign_of_control_effect(limit)
-        return [state, limit] if side == (-1 if first else 1) * opposite != 0 else []
+        required_sign = pair[first][state].sign * dict(self.effects[state])[controls[0]]
+        actual_sign = pair[1 - first][limit].sign * self._get_sign_of_control_effect(limit)
+        return [state, limit] if required_sign == (-1 if first else 1) * actual_sign != 0 else []
 
     def _get_sign_of_control_effect(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
@@ -199,29 +199,29 @@ class PhaseStructure:
 
     def mask_rows_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
-        beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
+        near_change = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
         for k in range(1, self.n_subarcs):
             rows = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
             rows += [*self.find_control_limit_replacement(k), *self.find_state_to_control_limit_change(k)]
             for row in rows:
-                beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
-        return beside
+                near_change[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
+        return near_change
 
     def mask_constraints_near_contacts(self, touches: bool) -> Mask:
         """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
 
         Constraints that the direction of a vector of largest magnitude could satisfy are excluded.
         """
-        held, beside = self.active, np.zeros_like(self.active)
+        active, near_contact = self.active, np.zeros_like(self.active)
         for k in range(1, self.n_subarcs):
-            beside[:, k - 1] |= held[:, k]
-            beside[:, k] |= held[:, k - 1]
+            near_contact[:, k - 1] |= active[:, k]
+            near_contact[:, k] |= active[:, k - 1]
         if touches:
-            beside[[row for here in self.touches for row, _ in here]] = True
+            near_contact[[row for touched in self.touches for row, _ in touched]] = True
         for row in np.flatnonzero(self.orders):
-            bends = [i for i in self.boundary_arc_controls[row] if not self.regular[i]]
-            beside[row] &= ~np.any(self.arc_kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
-        return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
+            directions = [i for i in self.boundary_arc_controls[row] if not self.regular[i]]
+            near_contact[row] &= ~np.any(self.arc_kind_matrix()[directions] == ArcKind.INTERIOR, axis=0)
+        return np.asarray(near_contact & ~active & (np.array(self.orders) > 0)[:, None])
 
     def has_constraint_contact(self, subarc: int) -> bool:
         """Return whether a state constraint determines a control in a subarc."""
@@ -234,8 +234,8 @@ class PhaseStructure:
         """Return whether a row is at a limit, or touches it, at times (n,)."""
         subarcs = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_subarcs - 1)
         before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_subarcs - 1)
-        touched = [t for t, touches in zip(self.times, self.touches, strict=True) if row in dict(touches)]
-        return np.asarray(self.active[row, subarcs] | self.active[row, before] | np.isin(times, touched))
+        touch_times = [t for t, touches in zip(self.times, self.touches, strict=True) if row in dict(touches)]
+        return np.asarray(self.active[row, subarcs] | self.active[row, before] | np.isin(times, touch_times))
 
     def with_switch_times(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same sequence of arcs with other times."""
@@ -243,31 +243,31 @@ class PhaseStructure:
 
     def without_subarc(self, subarc: int) -> PhaseStructure:
         """Return the structure without a subarc; switches that cancel each other are removed, too."""
-        middle = 0.5 * (self.times[subarc] + self.times[subarc + 1])
-        joined = tuple(dict.fromkeys((*self.touches[subarc], *self.touches[subarc + 1])))
+        time = 0.5 * (self.times[subarc] + self.times[subarc + 1])
+        joined_touches = tuple(dict.fromkeys((*self.touches[subarc], *self.touches[subarc + 1])))
         if subarc == 0:  # touches at the free end belong to the removed subarc
-            middle, joined = self.times[0], self.touches[0]
+            time, joined_touches = self.times[0], self.touches[0]
         elif subarc == self.n_subarcs - 1:
-            middle, joined = self.times[-1], self.touches[-1]
+            time, joined_touches = self.times[-1], self.touches[-1]
         return replace(
             self,
-            times=(*self.times[:subarc], middle, *self.times[subarc + 2 :]),
+            times=(*self.times[:subarc], time, *self.times[subarc + 2 :]),
             kinds=(*self.kinds[:subarc], *self.kinds[subarc + 1 :]),
-            touches=(*self.touches[:subarc], joined, *self.touches[subarc + 2 :]),
+            touches=(*self.touches[:subarc], joined_touches, *self.touches[subarc + 2 :]),
         ).merge_equal_adjacent_arcs()
 
     def replace_subarc_by_touch(self, subarc: int) -> PhaseStructure:
         """Return the structure without a subarc; arcs on limits of second order, or paths at an end, become touches."""
-        left, inner = self.without_subarc(subarc), 0 < subarc < self.n_subarcs - 1
+        structure, is_inner = self.without_subarc(subarc), 0 < subarc < self.n_subarcs - 1
         middle = 0.5 * (self.times[subarc] + self.times[subarc + 1])
-        time = middle if inner else self.times[0] if subarc == 0 else self.times[-1]
+        time = middle if is_inner else self.times[0] if subarc == 0 else self.times[-1]
         paths = range(self.n_controls, self.n_controls + self.n_paths)
         for i, (kind, order) in enumerate(zip(self.kinds[subarc], self.orders, strict=True)):
-            beside = [self.kinds[k][i] for k in (subarc - 1, subarc + 1) if 0 <= k < self.n_subarcs]
-            may_touch = order > 1 if inner else order > 0 and i in paths
-            if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
-                left = left.with_touch_point(i, time, kind)
-        return left
+            adjacent_kinds = [self.kinds[k][i] for k in (subarc - 1, subarc + 1) if 0 <= k < self.n_subarcs]
+            may_touch = order > 1 if is_inner else order > 0 and i in paths
+            if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in adjacent_kinds):
+                structure = structure.with_touch_point(i, time, kind)
+        return structure
 
     def with_inserted_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
@@ -276,9 +276,9 @@ class PhaseStructure:
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
-        inside = [start < 0.5 * (a + b) < end for a, b in itertools.pairwise(times)]
+        is_inside = [start < 0.5 * (a + b) < end for a, b in itertools.pairwise(times)]
         columns = np.array(kinds, dtype=object)
-        columns[inside, row] = kind
+        columns[is_inside, row] = kind
         changed = tuple(map(tuple, columns))
         return replace(self, times=times, kinds=changed, touches=tuple(touches)).merge_equal_adjacent_arcs()
 
@@ -296,64 +296,64 @@ class PhaseStructure:
 
     def _insert_boundaries(self, *new: float) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
         """Return times, kinds and touches with further boundaries between subarcs of the same kinds."""
-        times, known = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
+        times, touches = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         subarcs = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_subarcs - 1)
-        return times, tuple(self.kinds[k] for k in subarcs), [known.get(t, ()) for t in times]
+        return times, tuple(self.kinds[k] for k in subarcs), [touches.get(t, ()) for t in times]
 
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of controls and active limits, with the labels of all rows; touches have zero length."""
-        found = []
-        determined = [self.find_controls_fixed_by_limits(k) for k in range(self.n_subarcs)]
+        arcs = []
+        fixed_controls = [self.find_controls_fixed_by_limits(k) for k in range(self.n_subarcs)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self.n_controls:
-                pairs = zip(row, determined, strict=True)
+                pairs = zip(row, fixed_controls, strict=True)
                 row = [ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k for k, d in pairs]
             starts = [0, *[k for k in range(1, self.n_subarcs) if row[k] != row[k - 1]], self.n_subarcs]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]
                 if i < self.n_controls or kind is not ArcKind.INTERIOR:
-                    found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
+                    arcs.append(Arc(phase, label, kind, self.times[first], self.times[last]))
             for time, touches in zip(self.times, self.touches, strict=True):
-                found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
-        return tuple(found)
+                arcs += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
+        return tuple(arcs)
 
     def replace_arcs(self, arcs: Sequence[Arc], phase: PhaseSolution) -> PhaseStructure:
         """Return the structure with the listed arcs (inverse of `list_arcs`), unless their active limits are others."""
         labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
-        listed = [(labels.index(a.channel), a) for a in arcs if a.phase == phase.name]
-        limits = {i for i, a in listed if a.kind.is_at_limit and i >= self.n_controls}
+        indexed = [(labels.index(a.channel), a) for a in arcs if a.phase == phase.name]
+        listed = {i for i, a in indexed if a.kind.is_at_limit and i >= self.n_controls}
         rows = range(self.n_controls, len(self.orders))
-        known = {i for subarc in self.kinds for i in rows if subarc[i].is_at_limit}
-        if not listed or limits != known | {i for touches in self.touches for i, _ in touches}:
+        active = {i for subarc in self.kinds for i in rows if subarc[i].is_at_limit}
+        if not indexed or listed != active | {i for touches in self.touches for i, _ in touches}:
             return self
         first, last = self.times[0], self.times[-1]
         rounding = SAME_TIME * (last - first)
-        inner = {t for _, a in listed for t in (a.start, a.end) if first + rounding < t < last - rounding}
+        inner = {t for _, a in indexed for t in (a.start, a.end) if first + rounding < t < last - rounding}
         times = (first, *sorted(inner), last)
         middles = [0.5 * (left + right) for left, right in itertools.pairwise(times)]
         # Controls that a limit determines are interior or singular.
         determined = [ArcKind.INTERIOR if regular else ArcKind.SINGULAR for regular in self.regular]
-        here = [{i: a.kind for i, a in listed if a.start < t < a.end} for t in middles]
-        every = [[own.get(i, ArcKind.INTERIOR) for i in range(len(determined))] for own in here]
+        by_subarc = [{i: a.kind for i, a in indexed if a.start < t < a.end} for t in middles]
+        complete = [[known.get(i, ArcKind.INTERIOR) for i in range(len(determined))] for known in by_subarc]
         kinds = tuple(
-            tuple(determined[i] if kind is ArcKind.CONSTRAINED else kind for i, kind in enumerate(own))
-            for own in every
+            tuple(determined[i] if kind is ArcKind.CONSTRAINED else kind for i, kind in enumerate(known))
+            for known in complete
         )
-        at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
-        touches = tuple(tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times)
+        touched = [(a.start, (i, a.kind)) for i, a in indexed if a.start == a.end]
+        touches = tuple(tuple(touch for start, touch in touched if abs(start - t) <= rounding) for t in times)
         return replace(self, times=times, kinds=kinds, touches=touches).merge_equal_adjacent_arcs()
 
     def merge_equal_adjacent_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent subarcs joined."""
         kinds, touches = self.kinds, self.touches
-        kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
+        first_subarcs = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
             self,
-            times=(*[self.times[k] for k in kept], self.times[-1]),
-            kinds=tuple(kinds[k] for k in kept),
-            touches=(*[touches[k] for k in kept], touches[-1]),
+            times=(*[self.times[k] for k in first_subarcs], self.times[-1]),
+            kinds=tuple(kinds[k] for k in first_subarcs),
+            touches=(*[touches[k] for k in first_subarcs], touches[-1]),
         )
 
 

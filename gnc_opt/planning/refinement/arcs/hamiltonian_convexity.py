@@ -37,9 +37,9 @@ def mask_affine_controls(samples: PhaseSamples) -> Mask:
 def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
     """Return the path constraints that limit a single control, linear in H or always at its limits."""
     linear = _mask_linear_controls(samples)
-    bent = LinearPathLimits.from_samples(samples, ~linear & ~mask_convex_controls(samples))
-    for i in bent.rows:
-        linear[i] = bent.is_control_always_at_limits(i)
+    limits = LinearPathLimits.from_samples(samples, ~linear & ~mask_convex_controls(samples))
+    for i in limits.rows:
+        linear[i] = limits.is_control_always_at_limits(i)
     return LinearPathLimits.from_samples(samples, linear)
 
 
@@ -58,13 +58,13 @@ def mask_convex_controls(samples: PhaseSamples) -> Mask:
     H is linear while the costate of a state that only the square of the control affects is zero. If a control is
     coupled with others in H, such as a direction with a magnitude, H has to be strictly convex along the whole phase.
     """
-    bends = compute_hamiltonian_curvature(samples)
-    above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
-    at_times = np.any(bends > CONVEX, axis=1) & (below < NOTABLE * above)
-    scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
-    shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
-    np.fill_diagonal(shares, 0.0)
-    return np.asarray((at_times & np.all(shares <= EQUAL, axis=1)) | mask_regular_controls(samples))
+    curvature = compute_hamiltonian_curvature(samples)
+    positive, negative = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
+    is_convex = np.any(curvature > CONVEX, axis=1) & (negative < NOTABLE * positive)
+    scale, coupling = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
+    relative = coupling * np.outer(scale, scale) / samples.hamiltonian_scale
+    np.fill_diagonal(relative, 0.0)
+    return np.asarray((is_convex & np.all(relative <= EQUAL, axis=1)) | mask_regular_controls(samples))
 
 
 def compute_hamiltonian_curvature(samples: PhaseSamples) -> Array:
@@ -87,70 +87,70 @@ class LinearPathLimits:
     @classmethod
     def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearPathLimits:
         """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
-        phase, found = samples.phase, dict[int, tuple[int, ...]]()
+        phase, rows_by_control = samples.phase, dict[int, tuple[int, ...]]()
         slopes = np.zeros((len(phase.path_labels), samples.times.size))
         if not (phase.path_labels and np.any(linear)):
-            return cls(samples, found, slopes)
+            return cls(samples, rows_by_control, slopes)
         jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
         probe = samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
-        moved = samples.functions.path_control_jacobian(samples.times, samples.x, probe)
-        same = np.abs(moved - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
+        probed = samples.functions.path_control_jacobian(samples.times, samples.x, probe)
+        constant = np.abs(probed - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
         depends = np.any(jacobian != 0, axis=2)
         inequality = phase.path_bounds.lower < phase.path_bounds.upper
         for i in np.flatnonzero(linear):
-            alone = depends[:, i] & (np.sum(depends, axis=1) == 1) & np.all(same[:, i], axis=1)
-            rows = np.flatnonzero(alone & inequality)
+            is_single = depends[:, i] & (np.sum(depends, axis=1) == 1) & np.all(constant[:, i], axis=1)
+            rows = np.flatnonzero(is_single & inequality)
             if rows.size:
-                found[int(i)] = tuple(int(row) for row in rows)
+                rows_by_control[int(i)] = tuple(int(row) for row in rows)
                 slopes[rows] = jacobian[rows, i]
-        return cls(samples, found, slopes)
+        return cls(samples, rows_by_control, slopes)
 
     def mask_samples_near_limit(self, control: int, margin: float) -> Mask:
         """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
-        above, below = self._compute_admissible_controls(control)
+        uppers, lowers = self._compute_admissible_controls(control)
         u = self.samples.u[control]
-        least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
-        return np.asarray((u - least <= margin) | (most - u <= margin))
+        lower, upper = np.max([*lowers.values()], axis=0), np.min([*uppers.values()], axis=0)
+        return np.asarray((u - lower <= margin) | (upper - u <= margin))
 
     def is_control_always_at_limits(self, control: int) -> bool:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
-        s, (least, most) = self.samples, self.find_tightest_limits(control)
-        off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
-        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
+        s, (lower, upper) = self.samples, self.find_tightest_limits(control)
+        distance = np.where(s.switching_functions[control] < 0, upper - s.u[control], s.u[control] - lower)
+        return bool(np.mean(np.abs(distance) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
 
     def find_tightest_limits(self, control: int) -> tuple[Array, Array]:
         """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
-        above, below = self._compute_admissible_controls(control)
+        uppers, lowers = self._compute_admissible_controls(control)
         bounds, size = self.samples.phase.control_bounds, self.samples.times.size
         lower, upper = np.full(size, bounds.lower[control]), np.full(size, bounds.upper[control])
-        return np.max([lower, *below.values()], axis=0), np.min([upper, *above.values()], axis=0)
+        return np.max([lower, *lowers.values()], axis=0), np.min([upper, *uppers.values()], axis=0)
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.phase.control_bounds
-        own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
-        above, below = self._compute_admissible_controls(control)
-        best = np.where(upward, bounds.upper[control], bounds.lower[control])
-        held: dict[int, KindArray] = {}
+        control_kinds = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        uppers, lowers = self._compute_admissible_controls(control)
+        tightest = np.where(upward, bounds.upper[control], bounds.lower[control])
+        path_kinds: dict[int, KindArray] = {}
         for row in self.rows[control]:
-            here = np.where(upward, above[row], below[row])
-            tighter = np.where(upward, here < best, here > best)
-            best = np.where(tighter, here, best)
-            own = select_kind(tighter, ArcKind.SINGULAR, own)
-            for other, kinds in held.items():
-                held[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
+            row_limit = np.where(upward, uppers[row], lowers[row])
+            tighter = np.where(upward, row_limit < tightest, row_limit > tightest)
+            tightest = np.where(tighter, row_limit, tightest)
+            control_kinds = select_kind(tighter, ArcKind.SINGULAR, control_kinds)
+            for other, kinds in path_kinds.items():
+                path_kinds[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
             limit = select_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
-            held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
-        return own, held
+            path_kinds[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
+        return control_kinds, path_kinds
 
     def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.phase.path_bounds
         u, values = s.u[control], s.functions.path_constraints(s.times, s.x, s.u)
-        above, below = dict[int, Array](), dict[int, Array]()
+        uppers, lowers = dict[int, Array](), dict[int, Array]()
         for row in self.rows[control]:
             slope = np.where(self.slopes[row] == 0, np.nan, self.slopes[row])
-            ends = u + (np.array([bounds.lower[row], bounds.upper[row]])[:, None] - values[row]) / slope
-            above[row] = np.where(np.isnan(slope), np.inf, np.max(ends, axis=0))
-            below[row] = np.where(np.isnan(slope), -np.inf, np.min(ends, axis=0))
-        return above, below
+            admissible = u + (np.array([bounds.lower[row], bounds.upper[row]])[:, None] - values[row]) / slope
+            uppers[row] = np.where(np.isnan(slope), np.inf, np.max(admissible, axis=0))
+            lowers[row] = np.where(np.isnan(slope), -np.inf, np.min(admissible, axis=0))
+        return uppers, lowers

@@ -63,27 +63,27 @@ class ContactNodes:
     scaled_multipliers: Array
 
     def add_contact_arcs(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-        held, order = self.scaled_multipliers > 0, structure.orders[self.row]
-        nodes, (first, last) = np.flatnonzero(held), samples.phase.breaks[[0, -1]]
+        active, order = self.scaled_multipliers > 0, structure.orders[self.row]
+        nodes, (first, last) = np.flatnonzero(active), samples.phase.breaks[[0, -1]]
         touches = structure.list_touch_times(self.row, self.kind)
-        beside = [t for t in touches if self.times[0] <= t <= self.times[-1]]
+        nearby_touches = [t for t in touches if self.times[0] <= t <= self.times[-1]]
         is_long = nodes[-1] - nodes[0] >= TOUCH_MAX_NODES
-        if order == 2 and (is_long or beside) and self._find_unsaturated_controls(structure):
-            held[nodes[0] : nodes[-1]], order = True, 1  # inside an arc, multipliers may vanish
+        if order == 2 and (is_long or nearby_touches) and self._find_unsaturated_controls(structure):
+            active[nodes[0] : nodes[-1]], order = True, 1  # inside an arc, multipliers may vanish
         if order == 1:
-            held[1:-1] |= held[:-2] & held[2:]  # a boundary of the mesh may have no multiplier
-        for a, b in find_true_value_intervals(held):
-            at_end = self._find_phase_end_with_touch_point(structure, a, b, samples)
-            if at_end is not None:
-                structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
+            active[1:-1] |= active[:-2] & active[2:]  # a boundary of the mesh may have no multiplier
+        for a, b in find_true_value_intervals(active):
+            phase_end = self._find_phase_end_with_touch_point(structure, a, b, samples)
+            if phase_end is not None:
+                structure = structure.with_touch_point(self.row, structure.times[phase_end], self.kind)
                 continue
             if order == 1:
                 start = self._compute_midpoint_to_previous_node(a, first)
                 end = self._compute_midpoint_to_previous_node(b, last)
-                entry = self._find_nearby_switch_time(structure, start, samples, 0)
-                exit_ = self._find_nearby_switch_time(structure, end, samples, 1)
-                start, end = (entry, exit_) if entry < exit_ else (start, end)
-                start, end = min([start, *beside]), max([end, *beside])
+                entry_time = self._find_nearby_switch_time(structure, start, samples, 0)
+                exit_time = self._find_nearby_switch_time(structure, end, samples, 1)
+                start, end = (entry_time, exit_time) if entry_time < exit_time else (start, end)
+                start, end = min([start, *nearby_touches]), max([end, *nearby_touches])
                 structure = structure.with_inserted_arc(self.row, float(start), float(end), self.kind)
                 continue
             time = float(np.average(self.times[a:b], weights=self.scaled_multipliers[a:b]))
@@ -101,10 +101,10 @@ class ContactNodes:
         s, phase, path = samples, samples.phase, self.row - structure.n_controls
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
-        for end, given, node in ((0, phase.initial_bounds, a), (-1, phase.final_bounds, b - 1)):
+        for end, end_bounds, node in ((0, phase.initial_bounds, a), (-1, phase.final_bounds, b - 1)):
             slope = s.functions.path_state_jacobian(s.times[end], s.x[:, end], s.u[:, end])[path]
-            at_end = self.times[node] == phase.point_times[end]
-            if at_end and np.any(slope * s.state_scale * ~given.is_fixed):
+            includes_end = self.times[node] == phase.point_times[end]
+            if includes_end and np.any(slope * s.state_scale * ~end_bounds.is_fixed):
                 return end
         return None
 
@@ -132,13 +132,13 @@ class ContactNodes:
         reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
         for k in range(1, structure.n_subarcs):
-            at = structure.times[k]
-            if abs(at - time) >= reach or structure.has_only_control_kinks(k):
+            switch_time = structure.times[k]
+            if abs(switch_time - time) >= reach or structure.has_only_control_kinks(k):
                 continue
-            outer = structure.kinds[k - 1 if side == 0 else k]
+            interior_kinds = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.find_changed_arcs(k) if i in boundary_arc_controls]
-            if changed and (len(boundary_arc_controls) > 1 or outer[changed[0]].is_at_limit):
-                switches.append(at)
+            if changed and (len(boundary_arc_controls) > 1 or interior_kinds[changed[0]].is_at_limit):
+                switches.append(switch_time)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
     def _compute_midpoint_to_previous_node(self, node: int, end: float) -> float:
@@ -152,27 +152,27 @@ class ContactNodes:
 
 def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> list[ContactNodes]:
     s, rows = constraints.samples, list(rows)
-    found: list[ContactNodes] = []
+    contacts: list[ContactNodes] = []
     if not rows:
-        return found
+        return contacts
     offsets, points = s.phase.mesh.point_offsets, s.phase.point_times
     times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.list_finite_limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
             scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
-            least = max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)
-            scaled_multipliers = np.where(near & (scaled_multipliers > least), scaled_multipliers, 0.0)
+            threshold = max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)
+            scaled_multipliers = np.where(near & (scaled_multipliers > threshold), scaled_multipliers, 0.0)
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.get_order_of_constraint_contact(int(row)) > 1:
-                off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
-                for a, b in find_true_value_intervals(off & (scaled_multipliers == 0)):
-                    inside = np.isin(points, times[a:b])
-                    covers = any(np.all(inside[first:last]) for first, last in pairwise(offsets))
+                is_off_limit = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
+                for a, b in find_true_value_intervals(is_off_limit & (scaled_multipliers == 0)):
+                    is_off_point = np.isin(points, times[a:b])
+                    covers = any(np.all(is_off_point[first:last]) for first, last in pairwise(offsets))
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not covers
             runs = [(a, b) for a, b in find_true_value_intervals(near) if np.any(scaled_multipliers[a:b] > 0)]
-            found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
-    return found
+            contacts += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
+    return contacts
 
 
 def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
@@ -213,19 +213,19 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
     """
     constraints, phase = StateConstraints(problem, samples), samples.phase
     points, u = phase.point_times, np.hstack(phase.u.values)
-    found = []
+    arc_controls = []
     rows = [row for row in range(constraints.n_rows) if constraints.get_order_of_constraint_contact(row)]
     for run in find_contact_nodes(constraints, rows):
-        held = np.flatnonzero(run.scaled_multipliers > 0)
-        start, end = run.times[held[[0, -1]]]
-        inside = (points >= start) & (points <= end)
-        if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
+        active = np.flatnonzero(run.scaled_multipliers > 0)
+        start, end = run.times[active[[0, -1]]]
+        in_contact = (points >= start) & (points <= end)
+        if active.size < CONTACT_MIN_NODES or np.sum(in_contact) < CONTACT_MIN_NODES:
             continue
-        mean, margin = np.mean(u[:, inside], axis=1), BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
+        mean, margin = np.mean(u[:, in_contact], axis=1), BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
         saturated = np.logical_or(*phase.control_bounds.is_near_limits(mean, margin))
         holders = [i for i, _ in constraints.rank_controls_by_constraint_effect(run.row) if not saturated[i]]
-        found += [ArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
-    return found
+        arc_controls += [ArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
+    return arc_controls
 
 
 # --- detection on a mesh --------------------------------------------------------------------------------------
@@ -238,10 +238,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     longer than a segment, otherwise a touch. A third-order constraint has touches only (Jacobson, Lele & Speyer, 1971).
     """
     constraints, first = StateConstraints(problem, samples), structure.n_controls
-    held, orders, effects = np.any(structure.active[first:], axis=1), [0] * first, list(structure.effects)
-    for row, on in enumerate(held):
+    has_arc, orders, effects = np.any(structure.active[first:], axis=1), [0] * first, list(structure.effects)
+    for row, row_has_arc in enumerate(has_arc):
         order = constraints.get_order_of_constraint_contact(row)
-        orders.append(0 if on else order)
+        orders.append(0 if row_has_arc else order)
         if order:
             effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
     structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
@@ -251,21 +251,21 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    first, found = structure.n_controls, []
+    first, contacts = structure.n_controls, []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
-        known = structure.is_at_limit(first + run.row, run.times)
-        scaled_multipliers = np.where(known, 0.0, run.scaled_multipliers)
+        is_known = structure.is_at_limit(first + run.row, run.times)
+        scaled_multipliers = np.where(is_known, 0.0, run.scaled_multipliers)
         if np.any(scaled_multipliers > 0):
-            found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
-    return [run for run in found if not run.is_touch_at_phase_end(structure, constraints.samples)]
+            contacts.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
+    return [run for run in contacts if not run.is_touch_at_phase_end(structure, constraints.samples)]
 
 
 # --- corrections ----------------------------------------------------------------------------------------------
 
 
-def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> Correction:
+def add_missing_contact(constraints: StateConstraints, arc_mesh: ArcMesh) -> Correction:
     """Return the structure with a contact at the largest missing multiplier and the action, or None."""
-    s, structure = constraints.samples, plan.structure
+    s, structure = constraints.samples, arc_mesh.structure
     runs = _find_new_contact_nodes(constraints, structure)
     for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
         added = run.add_contact_arcs(structure, s)
@@ -276,26 +276,26 @@ def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> Correct
     return None, ""
 
 
-def replace_saturated_arc_controls(constraints: StateConstraints, plan: ArcMesh) -> Correction:
+def replace_saturated_arc_controls(constraints: StateConstraints, arc_mesh: ArcMesh) -> Correction:
     """Return the structure in which other controls keep a constraint on its limit and the action, or None.
 
     If a control linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls keep the
     limit afterwards. Otherwise, the control leaves its bound before the end of the arc. The dynamics must be accurate.
     """
-    samples, structure = constraints.samples, plan.structure
+    samples, structure = constraints.samples, arc_mesh.structure
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
-    bounds, subarcs = samples.phase.control_bounds, plan.segment_subarc_indices[samples.segments]
+    bounds, subarcs = samples.phase.control_bounds, arc_mesh.segment_subarc_indices[samples.segments]
     for boundary in range(1, structure.n_subarcs):
-        taken = structure.find_state_to_control_limit_change(boundary)
-        if not taken:
+        rows = structure.find_state_to_control_limit_change(boundary)
+        if not rows:
             continue
-        state, row = taken
+        state, row = rows
         after = structure.kinds[boundary][state].is_at_limit
         subarc, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
-        towards = np.flatnonzero(subarcs == subarc)[:: -1 if after else 1]
-        limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
-        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
+        samples_of_arc = np.flatnonzero(subarcs == subarc)[:: -1 if after else 1]
+        limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[samples_of_arc]
+        beyond = kind.sign * (samples.u_polynomial[row, samples_of_arc] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)
         if beyond[-1] > NEGLIGIBLE and within.size:
             last = slice(within[-1], within[-1] + 2)

@@ -79,47 +79,50 @@ def optimise_switching_times(
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
-    chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
-    plans = {}
+    settings = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
+    arc_meshes = {}
     for name, structure in (structures or detect_arc_structures(solution)).items():
-        known = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
-        plans[name] = ArcMesh.from_structure(structure) if segments == "few" else known
-    within = budget or WorkBudget()
+        refined = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
+        arc_meshes[name] = ArcMesh.from_structure(structure) if segments == "few" else refined
+    work_budget = budget or WorkBudget()
     with print_iterations(solution.problem_name, tol, progress) as show:
-        loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show)
-        guess, settled, integrated = solution, plans, None
+        loop = StructureIteration(problem, tol, work_budget, segments == "nearby", settings, show)
+        guess, new_meshes, integrated = solution, arc_meshes, None
         try:
             if segments == "few":
-                guess, settled, integrated = _optimise_switching_times_by_newton(solution, plans)
-            status = loop.iterate_control_structure(guess, settled, integrated)
+                guess, new_meshes, integrated = _optimise_switching_times_by_newton(solution, arc_meshes)
+            status = loop.iterate_control_structure(guess, new_meshes, integrated)
             if status is RefinementStatus.FAILED and guess is not solution:
-                status = loop.iterate_control_structure(solution, plans)
+                status = loop.iterate_control_structure(solution, arc_meshes)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     iterates = loop.iterates
     best = _choose_best_iterate(iterates, status, tol)
-    records = [t.record for t in iterates] or [record_iteration(solution, begin, "not begun")]
+    records = [iterate.record for iterate in iterates] or [record_iteration(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
     if best is None:
         return solution, history
-    solution, plans = iterates[best].solution, iterates[best].plans
+    solution, arc_meshes = iterates[best].solution, iterates[best].arc_meshes
     if status is RefinementStatus.CONVERGED:
-        solution = _solve_costates_at_simultaneous_switches(solution, plans, chosen, within)
+        solution = _solve_costates_at_simultaneous_switches(solution, arc_meshes, settings, work_budget)
     arcs: list[Arc] = []
     for name, phase in solution.phases.items():
         labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
-        arcs += plans[name].structure.list_arcs(name, labels)
+        arcs += arc_meshes[name].structure.list_arcs(name, labels)
     return replace(solution, structure=tuple(arcs)), history
 
 
 def _solve_costates_at_simultaneous_switches(
-    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
+    solution: Solution, arc_meshes: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
-    if not any(find_simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
+    if (
+        not any(find_simultaneous_switches(arc_mesh.structure) for arc_mesh in arc_meshes.values())
+        or verify(solution).ok
+    ):
         return solution
-    split = solve_with_split_switches(solution, plans, options, budget)
+    split = solve_with_split_switches(solution, arc_meshes, options, budget)
     if split is None or verify(split).ok:
         return split or solution
     return min(solution, split, key=lambda each: each.objective_error.absolute_error)
@@ -128,43 +131,43 @@ def _solve_costates_at_simultaneous_switches(
 @dataclass(frozen=True, eq=False)
 class _Iterate:
     solution: Solution
-    plans: dict[str, ArcMesh]
+    arc_meshes: dict[str, ArcMesh]
     record: RefinementIteration
 
 
 def _choose_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol: float) -> int | None:
     """Return the index of the converged pass, else of the one with the smallest error of the objective, or None."""
-    solved = {k: t for k, t in enumerate(iterates) if t.record.solved}
+    solved = {k: iterate for k, iterate in enumerate(iterates) if iterate.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
-    errors = {k: max(t.solution.objective_error.relative_error, tol) for k, t in solved.items()}
+    errors = {k: max(iterate.solution.objective_error.relative_error, tol) for k, iterate in solved.items()}
     return min(solved, key=lambda k: (errors[k], solved[k].record.error))
 
 
 def _optimise_switching_times_by_newton(
-    solution: Solution, plans: dict[str, ArcMesh]
+    solution: Solution, arc_meshes: dict[str, ArcMesh]
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
-    Returns the trajectory as a guess, its plan and, unless a limit is violated or the optimum may be degenerate, the
-    same trajectory as the solution; the given solution and plans if Newton's method does not apply.
+    Returns the trajectory as a guess, its arc mesh and, unless a limit is violated or the optimum may be degenerate,
+    the same trajectory as the solution; the given solution and meshes if Newton's method does not apply.
     """
-    if len(plans) > 1:
-        return solution, plans, None  # the switching times of one phase depend on the others
-    ((name, plan),) = plans.items()
-    found = find_optimal_switching_times(solution, plan.structure)
-    if found is None:
-        return solution, plans, None
-    structure, flight = found
-    plan = ArcMesh.from_integration_steps(structure, flight.step_times)
-    collocated = collocate_trajectory(solution, flight, plan)
-    feasible = satisfies_inequality_limits(collocated, flight.s.state_scale)
+    if len(arc_meshes) > 1:
+        return solution, arc_meshes, None  # the switching times of one phase depend on the others
+    ((name, arc_mesh),) = arc_meshes.items()
+    optimum = find_optimal_switching_times(solution, arc_mesh.structure)
+    if optimum is None:
+        return solution, arc_meshes, None
+    structure, extremal = optimum
+    arc_mesh = ArcMesh.from_integration_steps(structure, extremal.step_times)
+    collocated = collocate_trajectory(solution, extremal, arc_mesh)
+    feasible = satisfies_inequality_limits(collocated, extremal.s.state_scale)
     final = collocated if feasible and solution.status is Status.OPTIMAL else None
-    return collocated, {name: plan}, final
+    return collocated, {name: arc_mesh}, final
 
 
 @dataclass(frozen=True, eq=False)
-class _StructureLoop:
+class StructureIteration:
     problem: Problem
     tol: float
     budget: WorkBudget
@@ -174,7 +177,7 @@ class _StructureLoop:
     iterates: list[_Iterate] = field(default_factory=list)
 
     def iterate_control_structure(
-        self, solution: Solution, plans: dict[str, ArcMesh], integrated: Solution | None = None
+        self, solution: Solution, arc_meshes: dict[str, ArcMesh], integrated: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes."""
         changes: list[tuple[dict[str, PhaseStructure], dict[str, PhaseStructure]]] = []
@@ -182,58 +185,58 @@ class _StructureLoop:
             begin = time.perf_counter()
             if begin > self.budget.deadline:
                 return RefinementStatus.INTERRUPTED
-            if any(plan.build_mesh().size > self.budget.max_points for plan in plans.values()):
+            if any(arc_mesh.build_mesh().size > self.budget.max_points for arc_mesh in arc_meshes.values()):
                 return RefinementStatus.POINT_LIMIT
             if self.budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
-            found, integrated = integrated or self._solve_on_arc_mesh(plans, solution), None
-            if not found.status.solved:
-                self._record_iterate(found, plans, begin, f"not solved ({found.status.value})")
-                interrupted = found.status is Status.INTERRUPTED
+            candidate, integrated = integrated or self._solve_on_arc_mesh(arc_meshes, solution), None
+            if not candidate.status.solved:
+                self._record_iterate(candidate, arc_meshes, begin, f"not solved ({candidate.status.value})")
+                interrupted = candidate.status is Status.INTERRUPTED
                 return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-            solution, current = found, dict[str, ArcMesh]()
-            for name, plan in plans.items():
-                times = tuple(map(float, solution.phases[name].breaks[list(plan.subarc_boundary_breaks)]))
-                current[name] = replace(plan, structure=plan.structure.with_switch_times(times))
+            solution, solved_meshes = candidate, dict[str, ArcMesh]()
+            for name, arc_mesh in arc_meshes.items():
+                times = tuple(map(float, solution.phases[name].breaks[list(arc_mesh.subarc_boundary_breaks)]))
+                solved_meshes[name] = replace(arc_mesh, structure=arc_mesh.structure.with_switch_times(times))
             # Subarcs converge so fast that a small tolerance costs a few iterations, if any.
             target = self.tol if self.nearby else min(self.tol, EQUAL)
-            plans, action = correct_arc_structure(solution, current, target)
-            record = self._record_iterate(solution, current, begin, action or "arcs unchanged")
+            arc_meshes, action = correct_arc_structure(solution, solved_meshes, target)
+            record = self._record_iterate(solution, solved_meshes, begin, action or "arcs unchanged")
             if self.nearby and len(self.iterates) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
             if not set(action.split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED, LOOSENED}:
-                before, after = (
-                    {name: plan.structure.with_switch_times(()) for name, plan in each.items()}
-                    for each in (current, plans)
+                old_structures, new_structures = (
+                    {name: arc_mesh.structure.with_switch_times(()) for name, arc_mesh in meshes.items()}
+                    for meshes in (solved_meshes, arc_meshes)
                 )
-                if (before, after) in changes:
+                if (old_structures, new_structures) in changes:
                     return RefinementStatus.STALLED
-                changes.append((before, after))
+                changes.append((old_structures, new_structures))
         return RefinementStatus.ITERATION_LIMIT
 
     def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
         """Return whether the solution is accurate enough, and subarcs would only be refined further."""
-        enough, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
-        if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
+        tolerance, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
+        if record.error > tolerance or not set(str(record.actions).split(", ")) <= refined_only:
             return False
-        return solution.objective_error.relative_error <= enough
+        return solution.objective_error.relative_error <= tolerance
 
     def _record_iterate(
-        self, found: Solution, plans: dict[str, ArcMesh], begin: float, action: str
+        self, solution: Solution, arc_meshes: dict[str, ArcMesh], begin: float, action: str
     ) -> RefinementIteration:
-        record = record_iteration(found, begin, action)
-        self.iterates.append(_Iterate(found, plans, record))
+        record = record_iteration(solution, begin, action)
+        self.iterates.append(_Iterate(solution, arc_meshes, record))
         self.show(record)
         return record
 
-    def _solve_on_arc_mesh(self, plans: Mapping[str, ArcMesh], guess: Solution) -> Solution:
-        fixed = self.problem
-        for name, plan in plans.items():
-            fixed = plan.fix_arcs_in_problem(fixed, name)
-        meshes = {name: plan.build_mesh() for name, plan in plans.items()}
-        found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=self.options, budget=self.budget)
+    def _solve_on_arc_mesh(self, arc_meshes: Mapping[str, ArcMesh], guess: Solution) -> Solution:
+        problem = self.problem
+        for name, arc_mesh in arc_meshes.items():
+            problem = arc_mesh.fix_arcs_in_problem(problem, name)
+        meshes = {name: arc_mesh.build_mesh() for name, arc_mesh in arc_meshes.items()}
+        found = solve_problem_on_mesh(problem, meshes, guess=guess, options=self.options, budget=self.budget)
         return replace(found, problem=self.problem)
 
 
@@ -249,42 +252,42 @@ FREE_SPANS_MIN = 10.0
 
 def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with sufficiently long adjacent subarcs."""
-    least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
+    shortest = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
         for k in range(1, structure.n_subarcs)
         if sum(row < structure.n_controls for row in structure.find_changed_arcs(k)) > 1
         and not structure.has_only_control_kinks(k)
         and not structure.touches[k]
-        and min(structure.subarc_lengths[k - 1 : k + 1]) > least
+        and min(structure.subarc_lengths[k - 1 : k + 1]) > shortest
     )
 
 
 def solve_with_split_switches(
-    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
+    solution: Solution, arc_meshes: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution | None:
     """Return a solution with the multipliers of the program with split switches; None if that has no solution."""
-    freed, meshes = solution.need_problem("refine"), {}
-    for name, plan in plans.items():
-        split = split_simultaneous_switch_times(plan)
-        freed, mesh = split.fix_arcs_in_problem(freed, name), split.build_mesh()
+    problem, meshes = solution.need_problem("refine"), {}
+    for name, arc_mesh in arc_meshes.items():
+        split = split_simultaneous_switch_times(arc_mesh)
+        problem, mesh = split.fix_arcs_in_problem(problem, name), split.build_mesh()
         lengths = np.diff(mesh.breaks)  # the ends of the intervals are fixed
         movable = tuple(k for k in mesh.movable if min(lengths[k - 1 : k + 1]) > 2 * FREE_SPAN)
         meshes[name] = replace(mesh, movable=movable)
-    sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
-    found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
-    return _copy_multipliers(solution, found, plans) if found.status.solved else None
+    tight_options = replace(options, tolerance=min(ROUNDING, options.tolerance))
+    result = solve_problem_on_mesh(problem, meshes, guess=solution, options=tight_options, budget=budget)
+    return _copy_multipliers(solution, result, arc_meshes) if result.status.solved else None
 
 
-def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
-    held = solution.need_problem("refine")
-    for name, plan in plans.items():
-        held = plan.fix_arcs_in_problem(held, name)
-    meshes = {name: plan.build_mesh() for name, plan in plans.items()}
-    transcription = transcribe_problem(held, meshes, solution.scheme)
-    own, others = (build_nlp_point_from_solution(transcription, held, s) for s in (solution, other))
-    iterate = NlpIterate(own.x, others.lam_x, others.lam_g)
-    phases, _ = build_phase_solutions(transcription, held, iterate)
+def _copy_multipliers(solution: Solution, other: Solution, arc_meshes: Mapping[str, ArcMesh]) -> Solution:
+    problem = solution.need_problem("refine")
+    for name, arc_mesh in arc_meshes.items():
+        problem = arc_mesh.fix_arcs_in_problem(problem, name)
+    meshes = {name: arc_mesh.build_mesh() for name, arc_mesh in arc_meshes.items()}
+    transcription = transcribe_problem(problem, meshes, solution.scheme)
+    point, other_point = (build_nlp_point_from_solution(transcription, problem, s) for s in (solution, other))
+    iterate = NlpIterate(point.x, other_point.lam_x, other_point.lam_g)
+    phases, _ = build_phase_solutions(transcription, problem, iterate)
     return replace(
         solution,
         phases=phases,
@@ -293,21 +296,21 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, A
     )
 
 
-def split_simultaneous_switch_times(plan: ArcMesh) -> ArcMesh:
-    """Return the plan with intervals before and after shared boundaries in which the changing rows are interior."""
-    s = plan.structure
+def split_simultaneous_switch_times(arc_mesh: ArcMesh) -> ArcMesh:
+    """Return the mesh with intervals before and after shared boundaries in which the changing rows are interior."""
+    s = arc_mesh.structure
     shared, span = find_simultaneous_switches(s), FREE_SPAN * (s.times[-1] - s.times[0])
-    times, kinds, resolutions = [s.times[0]], list[tuple[ArcKind, ...]](), list[SubarcMesh]()
-    for k, (own, resolution) in enumerate(zip(s.kinds, plan.resolutions, strict=True)):
+    times, kinds, subarc_meshes = [s.times[0]], list[tuple[ArcKind, ...]](), list[SubarcMesh]()
+    for k, (own, subarc_mesh) in enumerate(zip(s.kinds, arc_mesh.subarc_meshes, strict=True)):
         begins, ends = k in shared, k + 1 in shared
-        parts = [(s.times[k] + span, k)] if begins else []
-        parts += [(s.times[k + 1] - span * ends, 0), (s.times[k + 1], k + 1)][: 1 + ends]
-        for end, boundary in parts:
+        intervals = [(s.times[k] + span, k)] if begins else []
+        intervals += [(s.times[k + 1] - span * ends, 0), (s.times[k + 1], k + 1)][: 1 + ends]
+        for end, boundary in intervals:
             changed = s.find_changed_arcs(boundary) if boundary else ()
             times.append(end)
             kinds.append(tuple(ArcKind.INTERIOR if i in changed else kind for i, kind in enumerate(own)))
-            resolutions.append(SubarcMesh(1, FREE_SPAN_POINTS) if boundary else resolution)
-    known = dict(zip(s.times, s.touches, strict=True))
-    touches = tuple(known.get(t, ()) for t in times)
+            subarc_meshes.append(SubarcMesh(1, FREE_SPAN_POINTS) if boundary else subarc_mesh)
+    touches_by_time = dict(zip(s.times, s.touches, strict=True))
+    touches = tuple(touches_by_time.get(t, ()) for t in times)
     structure = replace(s, times=tuple(times), kinds=tuple(kinds), touches=touches)
-    return replace(plan, structure=structure, resolutions=tuple(resolutions))
+    return replace(arc_mesh, structure=structure, subarc_meshes=tuple(subarc_meshes))

@@ -27,8 +27,8 @@ from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
-    SwitchedFlow,
-    SwitchStep,
+    BangBangExtremal,
+    NewtonStep,
     compute_newton_step,
     compute_simplified_newton_step,
 )
@@ -70,98 +70,99 @@ def find_optimal_switching_times(
     solution: Solution,
     structure: PhaseStructure,
     accuracy: float = GUESS_ACCURACY,
-    known: SwitchStep | None = None,
-) -> tuple[PhaseStructure, SwitchedFlow] | None:
+    known: NewtonStep | None = None,
+) -> tuple[PhaseStructure, BangBangExtremal] | None:
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
     The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
     is below the accuracy. Near an optimum the cost depends on the switching times to second order: their error,
-    relative to the phase, is of the order of the square root of the accuracy. The structure is that after the remaining
-    Newton step. The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_cost_accurate`); limits between
-    the ends are not checked. None if the method does not apply or does not converge. The matrices and the grid of a
-    ``known`` step, at the optimum of a similar problem with this structure, are tried first.
+    relative to the phase, is of the order of the square root of the accuracy. Matrices and grid of a ``known`` step, at
+    the optimum of a similar problem with this structure, are tried first.
+
+    Returns the structure after the remaining Newton step, and the trajectory before it, which may be less accurate or
+    lack an arc (`BangBangExtremal.is_cost_accurate`); limits between the ends are not checked. None if the method does
+    not apply or does not converge.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
     switches = _list_control_switches(s, structure)
-    steps = FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = (
-        None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
-    )
-    if flight is None or flight.find_missing_bang_arc is not None:
-        flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
-    while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
+    steps, extremal = FLOW_INITIAL_STEPS, None
+    if known is not None:
+        steps = known.steps
+        extremal = _iterate_near_known_step(problem, s, switches, known, accuracy, steps)
+    if extremal is None or extremal.missing_bang_arc is not None:
+        extremal = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
+    while extremal is not None and extremal.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = (
-            _iterate_simplified_newton(problem, s, flight.switches, flight.step, accuracy, steps) or flight
-        )
-    if flight is None:
+        finer = _iterate_near_known_step(problem, s, extremal.switches, extremal.step, accuracy, steps)
+        extremal = finer or extremal
+    if extremal is None:
         return None
-    switches = _shift_switching_times(flight.switches, flight.step.change)
-    return _build_arc_structure(structure, s, switches), flight
+    switches = _shift_switching_times(extremal.switches, extremal.step.change)
+    return _build_arc_structure(structure, s, switches), extremal
 
 
 def _iterate_to_optimal_switches(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int
-) -> SwitchedFlow | None:
+) -> BangBangExtremal | None:
     """Return the converged trajectory whose switching functions have the required signs, or None."""
     for _ in range(NEWTON_MAX_STEPS):
         step = compute_newton_step(problem, s, switches, steps)
         if step is None:
             return None
-        share, emptied = _limit_newton_step(switches, step)
-        if emptied and share < STEP_MIN_SHARE:
-            switches = _remove_bang_arc(switches, emptied)
+        share, shrinking_arc = _limit_newton_step(switches, step)
+        if shrinking_arc and share < STEP_MIN_SHARE:
+            switches = _remove_bang_arc(switches, shrinking_arc)
         elif share < 1 or step.get_relative_step_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _shift_switching_times(switches, share * step.change)
         else:
-            flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or flight.find_missing_bang_arc is None:
-                return flight
-            switches = _insert_bang_arc(flight.switches, *flight.find_missing_bang_arc)
+            extremal = _iterate_newton_steps(problem, s, switches, step, accuracy)
+            if extremal is None or extremal.missing_bang_arc is None:
+                return extremal
+            switches = _insert_bang_arc(extremal.switches, *extremal.missing_bang_arc)
     return None
 
 
-def _iterate_simplified_newton(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
-) -> SwitchedFlow | None:
+def _iterate_near_known_step(
+    problem: Problem, s: PhaseSamples, switches: Switches, known: NewtonStep, accuracy: float, steps: int
+) -> BangBangExtremal | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
     step = compute_simplified_newton_step(problem, s, switches, known, steps)
     return _iterate_newton_steps(problem, s, switches, step, accuracy)
 
 
 def _iterate_newton_steps(
-    problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
-) -> SwitchedFlow | None:
+    problem: Problem, s: PhaseSamples, switches: Switches, step: NewtonStep | None, accuracy: float
+) -> BangBangExtremal | None:
     """Return the converged trajectory near given switching times, starting with a known step, or None.
 
     Steps reuse the matrices of the previous one as long as they decrease sufficiently fast.
     """
-    before = math.inf  # length of the previous step, if it had the same matrices
+    previous = math.inf  # length of the previous step, if it had the same matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
         length = step.get_relative_step_size(switches)
-        away = _compute_switching_time_error(step, switches, accuracy)
-        if away < NOTABLE:
-            return SwitchedFlow.integrate_phase(problem, s, switches, step)
+        relative_error = _compute_switching_time_error(step, switches, accuracy)
+        if relative_error < NOTABLE:
+            return BangBangExtremal.integrate_phase(problem, s, switches, step)
         switches = _shift_switching_times(switches, step.change)
-        shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
-        if away * shrinks < NOTABLE:
-            flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
-            if flight is None:
+        contraction = min(length / previous if previous < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
+        if relative_error * contraction < NOTABLE:
+            extremal = BangBangExtremal.integrate_phase(problem, s, switches, step)
+            if extremal is None:
                 return None
-            if _compute_switching_time_error(flight.step, switches, accuracy) < INNER_TOLERANCE_SHARE:
-                return flight
-        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
-            step, before = compute_newton_step(problem, s, switches, step.steps), math.inf
+            if _compute_switching_time_error(extremal.step, switches, accuracy) < INNER_TOLERANCE_SHARE:
+                return extremal
+        if relative_error * contraction ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
+            step, previous = compute_newton_step(problem, s, switches, step.steps), math.inf
         else:
-            step, before = compute_simplified_newton_step(problem, s, switches, step, step.steps), length
+            step, previous = compute_simplified_newton_step(problem, s, switches, step, step.steps), length
     return None
 
 
-def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+def _compute_switching_time_error(step: NewtonStep, switches: Switches, accuracy: float) -> float:
     """Return the error of switching times relative to that permitted by an accuracy of the cost."""
     return max(step.gain / accuracy, step.get_relative_step_size(switches) / math.sqrt(accuracy))
 
@@ -170,10 +171,10 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
     phase = s.phase
     boxes = (phase.final_bounds, phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds)
-    box = stack_intervals(boxes)
+    bounds = stack_intervals(boxes)
     values = np.append(s.x[:, -1], [phase.initial_time, phase.final_time, phase.duration])
     scales = np.append(np.ptp(s.x, axis=1), np.full(3, s.span))
-    sided = np.logical_or(*box.is_near_limits(values, AT_LIMIT * scales)) & ~box.is_fixed
+    at_one_sided_limit = np.logical_or(*bounds.is_near_limits(values, AT_LIMIT * scales)) & ~bounds.is_fixed
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
@@ -182,7 +183,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
         and not any(structure.touches)
         and bool(np.all(phase.initial_bounds.is_fixed))
         and bool(np.all(problem.get_boundary_constraint_bounds().is_fixed))
-        and not np.any(sided)
+        and not np.any(at_one_sided_limit)
     )
 
 
@@ -191,9 +192,9 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.phase.control_bounds
-    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
+    pairs = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
     first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
-    times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
+    times, channels = (np.array([f[k] for f in pairs], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
 
@@ -203,33 +204,33 @@ def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switche
     at_upper = piecewise.controls == s.phase.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
-    kept = np.diff(piecewise.times) > 0
-    times = tuple(map(float, piecewise.times[np.append(kept, True)]))
-    columns = tuple(map(tuple, np.vstack([kinds, others]).T[kept]))
+    nonempty = np.diff(piecewise.times) > 0
+    times = tuple(map(float, piecewise.times[np.append(nonempty, True)]))
+    columns = tuple(map(tuple, np.vstack([kinds, others]).T[nonempty]))
     return replace(old, times=times, kinds=columns, touches=()).merge_equal_adjacent_arcs()
 
 
 def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
     """Return the unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
-    found: list[tuple[int, int]] = []
+    arcs: list[tuple[int, int]] = []
     for i in range(switches.first.size):
         own = np.flatnonzero(switches.channels == i)
         own = own[np.argsort(switches.times[own], kind="stable")]
         places = [0, *(int(k) + 1 for k in own), switches.times.size + 1]
-        found += itertools.pairwise(places)
-    return found
+        arcs += itertools.pairwise(places)
+    return arcs
 
 
-def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+def _limit_newton_step(switches: Switches, step: NewtonStep) -> tuple[float, tuple[int, int] | None]:
     """Return the largest fraction of a step with positive lengths of all arcs, and the limiting arc."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
-    longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
-    share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
+    largest_move = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
+    share, limiting = min(1.0, largest_move / max(float(np.max(np.abs(step.change))), TINY)), None
     for begin, end in _list_arc_switches(switches):
         shrinks = step.change[begin] - step.change[end]
-        room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
-        if shrinks > 0 and room < share * shrinks:
-            share, limiting = room / shrinks, (begin, end)
+        largest_shrinkage = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
+        if shrinks > 0 and largest_shrinkage < share * shrinks:
+            share, limiting = largest_shrinkage / shrinks, (begin, end)
     return share, limiting
 
 
@@ -241,11 +242,11 @@ def _shift_switching_times(switches: Switches, change: Array) -> Switches:
 def _remove_bang_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     begin, end = arc
     first = switches.first.copy()
-    gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
-    if begin == 0 and gone:
-        i = switches.channels[gone[0]]
+    removed = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
+    if begin == 0 and removed:
+        i = switches.channels[removed[0]]
         first[i] = switches.toggled[i] - first[i]
-    times, channels = np.delete(switches.times, gone), np.delete(switches.channels, gone)
+    times, channels = np.delete(switches.times, removed), np.delete(switches.channels, removed)
     return replace(switches, times=times, channels=channels, first=first)
 
 
