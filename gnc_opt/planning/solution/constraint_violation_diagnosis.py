@@ -57,25 +57,25 @@ def list_iterate_violations(
     """
     if result.status.solved or result.status is Status.INVALID_OPTION:  # the latter: no iterate
         return ()
-    special: list[Violation] = []
+    causes: list[Violation] = []
     if result.status is Status.UNBOUNDED:
-        special = _find_unbounded_variables(transcription, result.x)
+        causes = _find_unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
-        special = _find_nonfinite(problem, phases, parameters)
+        causes = _find_nonfinite(problem, phases, parameters)
     rows = _find_violated_constraint_rows(transcription, problem, result, scaling)
-    return (*special, *rows)[:_LISTED_VIOLATIONS]
+    return (*causes, *rows)[:_LISTED_VIOLATIONS]
 
 
 def _find_violated_constraint_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
-    rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
+    rows, bounds = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
-    scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    boxes = (scaled_rows, result.g), (scaled_box, result.x)
-    amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in boxes])
-    bounds = [f"bound of {label}" for label in transcription.variable_labels]
-    labels = (*transcription.constraint_row_labels, *bounds)
+    scaled_box = Interval(bounds.lower / scaling.variables, bounds.upper / scaling.variables)
+    limits_and_values = (scaled_rows, result.g), (scaled_box, result.x)
+    amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in limits_and_values])
+    bound_labels = [f"bound of {label}" for label in transcription.variable_labels]
+    labels = (*transcription.constraint_row_labels, *bound_labels)
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 
@@ -91,12 +91,12 @@ def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> li
 
 
 def _find_nonfinite(problem: Problem, phases: dict[str, PhaseSolution], parameters: Array) -> list[Violation]:
-    found = []
+    violations = []
     for name, phase in phases.items():
         times = phase.point_times
-        at = times, phase.x(times), phase.u(times)
-        bad = find_nonfinite_function(problem, problem.phases[name], *at, parameters)
-        if bad:
-            when = f"t = {bad.time:.4g} {problem.time_unit}"
-            found.append(Violation(f"{bad.what}, phase {name}, {when}", np.nan))
-    return found
+        trajectory = times, phase.x(times), phase.u(times)
+        nonfinite = find_nonfinite_function(problem, problem.phases[name], *trajectory, parameters)
+        if nonfinite:
+            when = f"t = {nonfinite.time:.4g} {problem.time_unit}"
+            violations.append(Violation(f"{nonfinite.what}, phase {name}, {when}", np.nan))
+    return violations

@@ -46,24 +46,24 @@ from gnc_opt.planning.transcription.quadrature import build_lagrange_interpolati
 
 
 def correct_constraint_arc_costates(
-    phase: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
+    phase: PhaseSolution, fixed_arcs: FixedArcs | None, functions: PhaseFunctions
 ) -> PhaseSolution:
     """Return a phase solution with costates and multipliers corrected along active segments."""
-    if held is None or not held.paths or phase.scheme != GAUSS:
+    if fixed_arcs is None or not fixed_arcs.paths or phase.scheme != GAUSS:
         return phase
-    at_limit = np.array([[kind.is_at_limit for kind in row] for row in held.paths])
+    at_limit = np.array([[kind.is_at_limit for kind in row] for row in fixed_arcs.paths])
     at_limit &= ~functions.mixed_path_constraints[:, None]
     if not np.any(at_limit):
         return phase
     start, end, values = phase.lam_start.copy(), phase.lam_end.copy(), [v.copy() for v in phase.lam.values]
     signals = phase.x, phase.u, phase.interpolate_point_values(phase.point_costates)
-    x, u, continued = (signal.evaluate_at_normalised_times([-1.0, 1.0]) for signal in signals)
+    x, u, point_costates = (signal.evaluate_at_normalised_times([-1.0, 1.0]) for signal in signals)
     for k in np.flatnonzero(np.any(at_limit, axis=0)):
-        for i, ends in enumerate((start, end)):
+        for i, boundary_costates in enumerate((start, end)):
             gradients = functions.path_state_jacobian(phase.breaks[k + i], x[:, k, i], u[:, k, i])
             directions = gradients[at_limit[:, k]].T
-            gap = continued[:, k, i] - ends[:, k]
-            ends[:, k] += directions @ np.linalg.lstsq(directions, gap, rcond=None)[0]
+            difference = point_costates[:, k, i] - boundary_costates[:, k]
+            boundary_costates[:, k] += directions @ np.linalg.lstsq(directions, difference, rcond=None)[0]
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(phase.breaks, phase.lam.nodes, tuple(values))
     at_points = np.repeat(at_limit, phase.mesh.degrees, axis=1)
@@ -76,14 +76,14 @@ def _solve_path_multipliers(
 ) -> Array:
     """Return the path multipliers; at their limits they are the residual of the adjoint equation."""
     mu = phase.path_multipliers.copy()
-    here = np.flatnonzero(np.any(at_limit, axis=0))
-    times, others = phase.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
+    active_points = np.flatnonzero(np.any(at_limit, axis=0))
+    times, other_mu = phase.point_times[active_points], np.where(at_limit, 0.0, mu)[:, active_points]
     x, u = phase.x(times), phase.u(times)
-    left = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), others)
+    residual = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), other_mu)
     gradients = functions.path_state_jacobian(times, x, u)
-    for j, point in enumerate(here):
+    for j, point in enumerate(active_points):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = np.linalg.lstsq(gradients[rows, :, j].T, left[:, j], rcond=None)[0]
+        mu[rows, point] = np.linalg.lstsq(gradients[rows, :, j].T, residual[:, j], rcond=None)[0]
     return mu
 
 
@@ -101,8 +101,8 @@ def compute_costates_at_collocation_points(collocation: PhaseCollocation, lam_g:
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
         # The factor w_k / 2 of multipliers and quadrature weights cancels.
-        own, rates = lam_g[collocation.dynamics_rows[k]], collocation.build_dynamics_rate_matrix(k)
-        pieces.append(-own @ rates / rule.weights)
+        multipliers = lam_g[collocation.dynamics_rows[k]]
+        pieces.append(-multipliers @ collocation.build_dynamics_rate_matrix(k) / rule.weights)
     return np.hstack(pieces)
 
 
@@ -110,12 +110,12 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
-        wanted = -costates[:, _get_segment_point_slice(collocation, k)] * rule.weights
+        weighted = -costates[:, _get_segment_point_slice(collocation, k)] * rule.weights
         if collocation.family.has_dynamics_row_at_segment_end:
-            pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
+            pieces.append(np.hstack([weighted, -end_costates[:, [k]]]))
         else:
             matrix = collocation.build_dynamics_rate_matrix(k)
-            pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
+            pieces.append(np.asarray(np.linalg.lstsq(matrix.T, weighted.T, rcond=None)[0].T))
     return pieces
 
 
@@ -129,19 +129,19 @@ def split_duplicate_multipliers(
     """
     if not collocation.family.ends_at_point or not paths.size:
         return paths
-    settled = paths.copy()
-    lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
-    pushed = np.abs(paths) * lengths > NEGLIGIBLE * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
+    split = paths.copy()
+    spans = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
+    nonzero = np.abs(paths) * spans > NEGLIGIBLE * np.max(np.abs(paths) * spans, axis=1, keepdims=True)
     shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.point_offsets[1:-1]])
     shared |= np.append(shared[1:], False)
-    held = _mask_segments_with_multipliers(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
+    active = _mask_segments_with_multipliers(collocation, nonzero, np.tile(shared, (paths.shape[0], 1)))
     for k, right in enumerate(collocation.mesh.point_offsets[1:-1]):
-        share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
+        shares = np.stack([active[:, k] * weights[right - 1], active[:, k + 1] * weights[right]], axis=1)
         total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
-        rows = ~mixed & np.any(share > 0, axis=1)
-        density = total[rows] / np.sum(share[rows], axis=1)
-        settled[rows, right - 1], settled[rows, right] = density * held[rows, k], density * held[rows, k + 1]
-    return settled
+        rows = ~mixed & np.any(shares > 0, axis=1)
+        density = total[rows] / np.sum(shares[rows], axis=1)
+        split[rows, right - 1], split[rows, right] = density * active[rows, k], density * active[rows, k + 1]
+    return split
 
 
 @dataclass(eq=False)
@@ -149,9 +149,9 @@ class PhaseCostates:
     """Result of the covector mapping for one phase with N points and K segments.
 
     At the points: quadrature ``weights`` (N,) in s; costates ``lam``, state bound multipliers ``densities`` per second,
-    ``pull`` = -d(lambda)/dt without impulses, whether a bound (``bounded``) or any constraint (``pushed``) has a
+    ``decay`` = -d(lambda)/dt without impulses, whether a bound (``bounded``) or any constraint (``nonzero``) has a
     nonzero multiplier, (n_states, N) each. In the segments: one-sided costates ``start`` and ``end``, whether an active
-    constraint contributes to the costate rate (``held``), whether the state is constant (``still``),
+    constraint contributes to the costate rate (``active``), whether the state is constant (``steady``),
     (n_states, K) each. At segment boundaries: ``impulses`` (n_states, K + 1), multipliers of state bounds and ends.
     """
 
@@ -162,88 +162,92 @@ class PhaseCostates:
     end: Array
     densities: Array
     impulses: Array
-    pull: Array
-    held: Mask
-    still: Mask
-    pushed: Mask
+    decay: Array
+    active: Mask
+    steady: Mask
+    nonzero: Mask
     bounded: Mask
 
     @classmethod
     def from_multipliers(
-        cls, collocation: PhaseCollocation, iterate: NlpIterate, weights: Array, gradient: Array, push: Array
+        cls,
+        collocation: PhaseCollocation,
+        iterate: NlpIterate,
+        weights: Array,
+        gradient: Array,
+        pure_part: Array,
     ) -> PhaseCostates:
         """Return the costates and state bound multipliers of a phase.
 
-        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``push`` the contribution of pure state path
+        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``pure_part`` the contribution of pure state path
         constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = compute_costates_at_collocation_points(collocation, lam_g)
-        shared = np.isin(collocation.point_states, collocation.boundary_states)
+        at_boundary = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
-        densities = np.where(shared, 0.0, multipliers)
+        densities = np.where(at_boundary, 0.0, multipliers)
         # At the end of a phase a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
-        pull = gradient - np.where(at_break, push, 0.0) + densities
-        start, end = _compute_boundary_costates(collocation, lam_g, weights * pull)
+        decay = gradient - np.where(at_break, pure_part, 0.0) + densities
+        start, end = _compute_boundary_costates(collocation, lam_g, weights * decay)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
-        lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
-        bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
-        pushed = bounded | (np.abs(push) * lengths > NEGLIGIBLE * size)
-        held = _mask_segments_with_multipliers(collocation, pushed, shared)
+        spans = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
+        bounded = np.abs(np.where(at_boundary & ~at_break, 0.0, multipliers)) * spans > NEGLIGIBLE * size
+        nonzero = bounded | (np.abs(pure_part) * spans > NEGLIGIBLE * size)
+        active = _mask_segments_with_multipliers(collocation, nonzero, at_boundary)
         segments = range(collocation.mesh.segments)
-        spreads = [np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in segments]
+        variations = [np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in segments]
         sizes = np.max(np.abs(x[collocation.point_states]), axis=1)
-        still = np.stack(spreads, axis=1) <= AT_LIMIT * sizes[:, None]
+        steady = np.stack(variations, axis=1) <= AT_LIMIT * sizes[:, None]
         impulses = lam_x[collocation.boundary_states]
-        found = cls(
-            collocation, weights, lam, start, end, densities, impulses, pull, held, still, pushed, bounded
-        )
+        rates_and_masks = (decay, active, steady, nonzero, bounded)
+        costates = cls(collocation, weights, lam, start, end, densities, impulses, *rates_and_masks)
         if collocation.family.has_dynamics_row_at_segment_end:
-            found.extrapolate_costates_along_bounds()
+            costates.extrapolate_costates_along_bounds()
         else:
-            found.split_boundary_multipliers()
-        return found
+            costates.split_boundary_multipliers()
+        return costates
 
     def split_boundary_multipliers(self) -> None:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _get_segment_point_slice(collocation, k)
-            self._split_density_and_impulse(k, k, here.start, self.start, 1.0)
+            j = _get_segment_point_slice(collocation, k)
+            self._split_density_and_impulse(k, k, j.start, self.start, 1.0)
             if collocation.family.ends_at_point:
-                self._split_density_and_impulse(k, k + 1, here.stop - 1, self.end, -1.0)
+                self._split_density_and_impulse(k, k + 1, j.stop - 1, self.end, -1.0)
 
     def _split_density_and_impulse(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
-        bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
+        bounded, rows = self.bounded[:, point], self.active[:, k] & self.nonzero[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
-            here = _get_segment_point_slice(self.collocation, k)
-            rows = bounded = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
-        gap = sign * (self.lam[:, point] - side[:, k])
+            j = _get_segment_point_slice(self.collocation, k)
+            rows = bounded = self.steady[:, k] & np.any(self.bounded[:, j], axis=1)
+        difference = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
         rows = rows & bounded
-        self.densities[rows, point] = gap[rows] / self.weights[point]
-        self.impulses[rows, boundary] -= gap[rows]
+        self.densities[rows, point] = difference[rows] / self.weights[point]
+        self.impulses[rows, boundary] -= difference[rows]
 
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.collocation_rules):
-            here = _get_segment_point_slice(self.collocation, k)
-            rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
+            j = _get_segment_point_slice(self.collocation, k)
+            rows = self.steady[:, k] & np.any(self.bounded[:, j], axis=1)
             to_end = build_lagrange_interpolation_matrix(rule.points, [1.0])[0]
-            change = self.lam[:, here] @ to_end - self.end[:, k]
+            change = self.lam[:, j] @ to_end - self.end[:, k]
             change = np.where(rows, change, 0.0)
-            densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
+            densities = self.densities[:, j] - np.outer(change, rule.end_values[1:]) / self.weights[j]
             # The state is nearly constant on a segment with a touch point too; there the correction would reverse the
             # signs of multipliers.
-            pushes = densities * self.weights[here]
-            turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > SMALL * np.abs(change)
-            change = np.where(turned, 0.0, change)
+            pushes = densities * self.weights[j]
+            reverses = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > SMALL * np.abs(change)
+            change = np.where(reverses, 0.0, change)
             self.end[:, k] += change
             self.start[:, k] += change * rule.end_values[0]
-            self.densities[:, here] -= np.outer(change, rule.end_values[1:]) / self.weights[here]
+            self.densities[:, j] -= np.outer(change, rule.end_values[1:]) / self.weights[j]
             self.impulses[:, k + 1] += change
             self.impulses[:, k] -= change * rule.end_values[0]
 
@@ -252,19 +256,19 @@ class PhaseCostates:
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
-            here = _get_segment_point_slice(collocation, k)
+            j = _get_segment_point_slice(collocation, k)
             if collocation.family.has_dynamics_row_at_segment_end:
                 nodes.append(np.append(rule.points, 1.0))
-                values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
+                values.append(np.hstack([self.lam[:, j], self.end[:, [k]]]))
                 continue
             half = 0.5 * (breaks[k + 1] - breaks[k])
-            path = rule.build_integration_matrix(rule.state_nodes)
-            integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
-            through = self.lam[:, here] @ build_lagrange_interpolation_matrix(rule.points, rule.state_nodes).T
+            integration_matrix = rule.build_integration_matrix(rule.state_nodes)
+            integrated = self.start[:, [k]] - half * self.decay[:, j] @ integration_matrix.T
+            fitted = self.lam[:, j] @ build_lagrange_interpolation_matrix(rule.points, rule.state_nodes).T
             if not collocation.family.ends_at_point:
-                through[:, -1] = self.end[:, k]
+                fitted[:, -1] = self.end[:, k]
             nodes.append(rule.state_nodes)
-            values.append(np.where(self.held[:, [k]], through, integrated))
+            values.append(np.where(self.active[:, [k]], fitted, integrated))
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
@@ -276,13 +280,13 @@ def _compute_segment_durations(collocation: PhaseCollocation, weights: Array) ->
     return np.add.reduceat(weights, collocation.mesh.point_offsets[:-1])
 
 
-def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
+def _mask_segments_with_multipliers(collocation: PhaseCollocation, nonzero: Mask, at_boundary: Mask) -> Mask:
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
         points = _get_segment_point_slice(collocation, k)
-        inside, here = ~shared[:, points], pushed[:, points]
-        columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
+        inner, mask = ~at_boundary[:, points], nonzero[:, points]
+        columns.append(np.where(inner.any(axis=1), np.any(mask & inner, axis=1), np.all(mask, axis=1)))
     return np.stack(columns, axis=1)
 
 

@@ -71,14 +71,14 @@ def compute_propagation_errors(phase: PhaseSolution, functions: PhaseFunctions, 
 
     Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
     """
-    misses, jumps = np.empty((phase.states.size, segments.size)), phase.applied.jump_times
+    errors, jumps = np.empty((phase.states.size, segments.size)), phase.applied.jump_times
     budget = CallLimit(phase.states.labels)
     for column, k in enumerate(segments):
         left, right = phase.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
         states, _ = _integrate_between_control_jumps(phase, functions, edges, budget)
-        misses[:, column] = phase.x(right, "left") - states[:, -1]
-    return np.where(np.isfinite(misses), misses, np.inf)
+        errors[:, column] = phase.x(right, "left") - states[:, -1]
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def _integrate_between_control_jumps(
@@ -165,9 +165,9 @@ class Limits:
 
     @classmethod
     def from_interval(cls, quantities: Callable[[Array, Array, Array], Array], bounds: Interval) -> Limits:
-        both = np.concatenate([bounds.lower, bounds.upper])
-        finite, n = np.flatnonzero(np.isfinite(both)), bounds.lower.size
-        return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
+        limits = np.concatenate([bounds.lower, bounds.upper])
+        finite, n_rows = np.flatnonzero(np.isfinite(limits)), bounds.lower.size
+        return cls(quantities, finite % max(n_rows, 1), np.where(finite < n_rows, -1.0, 1.0), limits[finite])
 
     def select_limits(self, chosen: Indices) -> Limits:
         """Return selected limits in the given order, possibly with repetitions."""
@@ -200,25 +200,25 @@ class Violations:
 
 def find_limit_violations(samples: PhaseSamples, limits: Limits) -> Violations:
     """Return times and amounts by which states and applied controls of a phase exceed limits."""
-    every = limits.compute_limit_excess(samples.times, samples.x, samples.u)
-    k, j, rise = _find_local_violation_peaks(samples, every)
-    times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], samples.u[:, j]
-    promise = excess + PEAK_RISE_RATIO * rise
-    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
-    hidden = hidden[_select_largest_violation_peaks(k[hidden], promise[hidden])]
-    if hidden.size:
-        beside = (_find_neighbouring_samples(samples, j[hidden], step) for step in (-1, 1))
+    all_excess = limits.compute_limit_excess(samples.times, samples.x, samples.u)
+    rows, j, rise = _find_local_violation_peaks(samples, all_excess)
+    times, excess, x, u = samples.times[j], all_excess[rows, j], samples.x[:, j], samples.u[:, j]
+    possible_excess = excess + PEAK_RISE_RATIO * rise
+    unresolved = np.flatnonzero(np.isfinite(excess) & (possible_excess > 0) & (rise > 0))
+    unresolved = unresolved[_select_largest_violation_peaks(rows[unresolved], possible_excess[unresolved])]
+    if unresolved.size:
+        beside = (_find_neighbouring_samples(samples, j[unresolved], step) for step in (-1, 1))
         left, right = (samples.times[neighbours] for neighbours in beside)
-        chosen = limits.select_limits(k[hidden])
+        chosen = limits.select_limits(rows[unresolved])
         peaks, heights = _locate_violation_peaks(samples.phase, chosen, left, right)
-        higher = heights > excess[hidden]
-        places = hidden[higher]
-        times[places], excess[places] = peaks[higher], heights[higher]
-        x[:, places], u[:, places] = samples.phase.x(times[places]), samples.phase.applied(times[places])
-    beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_select_largest_violation_peaks(k[beyond], excess[beyond])]
+        is_higher = heights > excess[unresolved]
+        better = unresolved[is_higher]
+        times[better], excess[better] = peaks[is_higher], heights[is_higher]
+        x[:, better], u[:, better] = samples.phase.x(times[better]), samples.phase.applied(times[better])
+    large = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[rows]))
+    large = large[_select_largest_violation_peaks(rows[large], excess[large])]
     return Violations(
-        limits.select_limits(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond]
+        limits.select_limits(rows[large]), times[large], excess[large], x[:, large], u[:, large]
     )
 
 
@@ -230,8 +230,8 @@ def _select_largest_violation_peaks(groups: Indices, values: Array) -> Indices:
 
 def _find_neighbouring_samples(samples: PhaseSamples, j: Indices, step: int) -> Indices:
     """Return the samples before or after samples j; at an end of a segment the sample itself."""
-    other = np.clip(j + step, 0, samples.times.size - 1)
-    return np.where(samples.segments[other] == samples.segments[j], other, j)
+    neighbours = np.clip(j + step, 0, samples.times.size - 1)
+    return np.where(samples.segments[neighbours] == samples.segments[j], neighbours, j)
 
 
 def _find_local_violation_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, Indices, Array]:
@@ -240,8 +240,8 @@ def _find_local_violation_peaks(samples: PhaseSamples, excess: Array) -> tuple[I
     before, after = (_find_neighbouring_samples(samples, j, step) for step in (-1, 1))
     above_before = (excess > excess[:, before]) | (before == j)
     k, j = np.nonzero(above_before & (excess >= excess[:, after]))
-    top, lower = excess[k, j], np.minimum(excess[k, before[j]], excess[k, after[j]])
-    return k, j, np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
+    peak, lower = excess[k, j], np.minimum(excess[k, before[j]], excess[k, after[j]])
+    return k, j, np.subtract(peak, lower, out=np.zeros(peak.size), where=np.isfinite(peak))
 
 
 def _locate_violation_peaks(
@@ -251,15 +251,15 @@ def _locate_violation_peaks(
     times, best, columns = left, np.full(left.size, -np.inf), np.arange(left.size)
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
-        tried = middle + half * _TRIED[:, None]
-        flat = tried.ravel()
-        every = limits.compute_limit_excess(flat, phase.x(flat), phase.applied(flat))
-        excess = every.reshape(left.size, *tried.shape)[columns, :, columns]
-        top = np.argmax(excess, axis=1)
-        heights, places = excess[columns, top], tried[top, columns]
-        times, best = np.where(heights > best, places, times), np.maximum(heights, best)
+        trial_times = middle + half * _TRIED[:, None]
+        all_times = trial_times.ravel()
+        excess_of_all = limits.compute_limit_excess(all_times, phase.x(all_times), phase.applied(all_times))
+        excess = excess_of_all.reshape(left.size, *trial_times.shape)[columns, :, columns]
+        best_trials = np.argmax(excess, axis=1)
+        heights, peak_times = excess[columns, best_trials], trial_times[best_trials, columns]
+        times, best = np.where(heights > best, peak_times, times), np.maximum(heights, best)
         step = half * (_TRIED[1] - _TRIED[0])
-        left, right = np.maximum(left, places - step), np.minimum(right, places + step)
+        left, right = np.maximum(left, peak_times - step), np.minimum(right, peak_times + step)
     return times, best
 
 
@@ -279,8 +279,8 @@ class Worst:
         """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
         if not values.size:
             return NOTHING
-        at = np.unravel_index(np.argmax(values), values.shape)
-        return cls(float(values[at]), describe(*map(int, at)))
+        index = np.unravel_index(np.argmax(values), values.shape)
+        return cls(float(values[index]), describe(*map(int, index)))
 
 
 NOTHING = Worst(0.0, "no violation")

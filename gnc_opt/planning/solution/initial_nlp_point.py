@@ -35,28 +35,28 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
         phase, collocation = problem.phases[name], part.collocation
-        boundaries = build_phase_guess(phase, np.asarray(collocation.mesh.breaks))
-        points = build_phase_guess(phase, collocation.normalised_point_times)
-        x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
-        x[collocation.boundary_states] = boundaries.states
+        boundary_guess = build_phase_guess(phase, np.asarray(collocation.mesh.breaks))
+        point_guess = build_phase_guess(phase, collocation.normalised_point_times)
+        x[collocation.point_states], x[collocation.point_controls] = point_guess.states, point_guess.controls
+        x[collocation.boundary_states] = boundary_guess.states
         free_times = part.times < transcription.n_variables
         breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.arc_breaks)]
-        times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
+        times = boundary_guess.times[0] + breaks * (boundary_guess.times[1] - boundary_guess.times[0])
         x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
         x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
-    box = transcription.get_variable_bounds(problem)
-    return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+    bounds = transcription.get_variable_bounds(problem)
+    return np.clip(x, bounds.lower, np.maximum(bounds.lower, bounds.upper))
 
 
 def set_integral_variables_by_quadrature(transcription: Transcription, problem: Problem, x: Array) -> Array:
     """Set integral variables to the integrals along x, using their rows (integral - quadrature)."""
-    places = transcription.integral_places
-    if not places.size:
+    integrals = transcription.integral_places
+    if not integrals.size:
         return x
     values = transcription.evaluate_nlp_first_derivatives(problem, x)[0]
     x = x.copy()
-    x[places] -= np.nan_to_num(values[-places.size :])
+    x[integrals] -= np.nan_to_num(values[-integrals.size :])
     return x
 
 
@@ -68,41 +68,41 @@ def build_nlp_point_from_solution(
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
         phase = problem.phases[name]
-        old = _get_matching_guess_phase(guess, phase)
-        _copy_phase_guess_to_nlp_point(transcription, part, old, x, lam_x, lam_g)
+        guess_phase = _get_matching_guess_phase(guess, phase)
+        _copy_phase_guess_to_nlp_point(transcription, part, guess_phase, x, lam_x, lam_g)
     for name in problem.parameters.names:
         if name in guess.free_parameters:
-            places, known = problem.parameters.slice(name), guess.free_parameters.slice(name)
-            x[transcription.parameter_places[places]] = guess.parameter_values[known]
-            lam_x[transcription.parameter_places[places]] = guess.parameter_multipliers[known]
+            own_rows, guess_rows = problem.parameters.slice(name), guess.free_parameters.slice(name)
+            x[transcription.parameter_places[own_rows]] = guess.parameter_values[guess_rows]
+            lam_x[transcription.parameter_places[own_rows]] = guess.parameter_multipliers[guess_rows]
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
-    box = transcription.get_variable_bounds(problem)
-    x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+    bounds = transcription.get_variable_bounds(problem)
+    x = np.clip(x, bounds.lower, np.maximum(bounds.lower, bounds.upper))
     return NlpIterate(set_integral_variables_by_quadrature(transcription, problem, x), lam_x, lam_g)
 
 
 def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:
-    """Return the mesh with all breaks fixed at their final positions, without empty segments."""
+    """Return the mesh of a solution with all breaks fixed at their final positions, without empty segments."""
     breaks = (phase.breaks - phase.breaks[0]) / (phase.breaks[-1] - phase.breaks[0])
-    stands = np.diff(breaks) > GONE
-    degrees = tuple(n for n, kept in zip(phase.mesh.degrees, stands, strict=True) if kept)
-    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
+    is_nonempty = np.diff(breaks) > GONE
+    degrees = tuple(n for n, nonempty in zip(phase.mesh.degrees, is_nonempty, strict=True) if nonempty)
+    return Mesh((0.0, *breaks[:-1][is_nonempty][1:], 1.0), degrees)
 
 
 def _get_matching_guess_phase(guess: Solution, phase: Phase) -> PhaseSolution:
-    old = guess.phases.get(phase.name)
-    if old is None:
+    given = guess.phases.get(phase.name)
+    if given is None:
         raise ProblemError(
             f"the guess has no phase '{phase.name}', only {list(guess.phases)}: give one with the same phases."
         )
-    kinds = ("states", phase.model.states, old.states), ("controls", phase.model.controls, old.controls)
-    for kind, mine, theirs in kinds:
-        if mine.labels != theirs.labels:
+    kinds = ("states", phase.model.states, given.states), ("controls", phase.model.controls, given.controls)
+    for kind, model_layout, guess_layout in kinds:
+        if model_layout.labels != guess_layout.labels:
             raise ProblemError(
-                f"the guess for {phase.label} has the {kind} {list(theirs.labels)}, "
-                f"but the model has {list(mine.labels)}: use guess_from_solution()."
+                f"the guess for {phase.label} has the {kind} {list(guess_layout.labels)}, "
+                f"but the model has {list(model_layout.labels)}: use guess_from_solution()."
             )
-    return old
+    return given
 
 
 def _copy_phase_guess_to_nlp_point(
@@ -118,25 +118,25 @@ def _copy_phase_guess_to_nlp_point(
     def sample_signal_inside_segments(signal: Callable[[Array, Side], Array]) -> Array:
         return np.where(at_end, signal(points, "left"), signal(points, "right"))
 
-    shared = np.isin(collocation.point_states, collocation.boundary_states)
+    at_boundary = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
-    x[collocation.point_states[~shared]] = states[~shared]
+    x[collocation.point_states[~at_boundary]] = states[~at_boundary]
     x[collocation.point_controls] = sample_signal_inside_segments(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
     times = breaks[list(collocation.mesh.arc_breaks)]
     x[part.times[free_times]] = times[free_times]
-    for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
-        if place < transcription.n_variables:
-            lam_x[place] = multiplier
+    for index, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
+        if index < transcription.n_variables:
+            lam_x[index] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arc_indices]
-    known = slice(None) if collocation.mesh == old.mesh else [0, -1]
-    lam_x[collocation.boundary_states[:, known]] = old.state_impulses[:, known]
+    same_boundaries = slice(None) if collocation.mesh == old.mesh else [0, -1]
+    lam_x[collocation.boundary_states[:, same_boundaries]] = old.state_impulses[:, same_boundaries]
     np.add.at(lam_x, collocation.point_states, sample_signal_inside_segments(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample_signal_inside_segments(old.control_multiplier) * weights
     if old.path_labels:
         lam_g[collocation.path_rows] = sample_signal_inside_segments(old.path_multiplier) * weights
-    same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
-    costates = old.point_costates if same else sample_signal_inside_segments(old.lam)
+    is_same_mesh = collocation.scheme == old.scheme and collocation.mesh == old.mesh
+    costates = old.point_costates if is_same_mesh else sample_signal_inside_segments(old.lam)
     multipliers = invert_costate_map(collocation, costates, old.lam(breaks[1:], "left"))
     for rows, values in zip(collocation.dynamics_rows, multipliers, strict=True):
         lam_g[rows] = values
@@ -145,17 +145,17 @@ def _copy_phase_guess_to_nlp_point(
 def _set_boundary_constraint_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
     """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
-    known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
+    multipliers = {f"constraint {label}": float(multiplier) for label, multiplier in values}
     for name, phase in guess.phases.items():
-        known[f"duration of phase {name}"] = phase.duration_multiplier
+        multipliers[f"duration of phase {name}"] = phase.duration_multiplier
         for label, weight in zip(phase.integral_labels, phase.integral_weights, strict=True):
-            known[f"integral {label}, phase {name}"] = -float(weight)
+            multipliers[f"integral {label}, phase {name}"] = -float(weight)
     for label, row in transcription.boundary_constraint_row_indices.items():
-        lam_g[row] = known.get(label, 0.0)
+        lam_g[row] = multipliers.get(label, 0.0)
 
 
-def _convert_fractions_to_times(old: PhaseSolution, fractions: Array) -> Array:
-    first, last = old.breaks[0], old.breaks[-1]
+def _convert_fractions_to_times(phase: PhaseSolution, fractions: Array) -> Array:
+    first, last = phase.breaks[0], phase.breaks[-1]
     return np.asarray(first + fractions * (last - first))
 
 
@@ -191,34 +191,34 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     hint = "write guess_from_solution(problem, solution)"
     require_type(problem, Problem, "the argument of guess_from_solution()", hint)
     require_type(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
-    common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
+    matching = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
     if len(problem.phases) == len(solution.phases) == 1:
-        common = dict(zip(problem.phases, solution.phases.values(), strict=True))
+        matching = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
-    for name, phase in common.items():
+    for name, phase in matching.items():
         guessed = _replace_phase_guess(guessed, name, phase)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
             "controls of the same names: rename them, or use guess_from_data()."
         )
-    known, parameters = solution.free_parameters, problem.parameters
-    shared = {
-        v.name: solution.parameter_values[known.slice(v.name)]
+    free_parameters, parameters = solution.free_parameters, problem.parameters
+    parameter_values = {
+        v.name: solution.parameter_values[free_parameters.slice(v.name)]
         for v in parameters.variables
-        if v.name in known and known[v.name].size == v.size
+        if v.name in free_parameters and free_parameters[v.name].size == v.size
     }
-    return guessed.with_parameter_guess(**shared) if shared else guessed
+    return guessed.with_parameter_guess(**parameter_values) if parameter_values else guessed
 
 
 def _replace_phase_guess(problem: Problem, name: str, phase: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
     names = (*phase.states.names, *phase.controls.names, *(c.name for c in phase.composed_controls))
-    known = {name: phase.saturated_control(name) for name in names}
+    signals = {name: phase.saturated_control(name) for name in names}
     values = {
-        v.name: _convert_signal_to_guess(phase, known[v.name])
+        v.name: _convert_signal_to_guess(phase, signals[v.name])
         for v in problem.phases[name].guessable_names.values()
-        if v.name in known and len(known[v.name].labels) == v.size
+        if v.name in signals and len(signals[v.name].labels) == v.size
     }
     return problem.with_guess(name, phase.breaks[[0, -1]], **values) if values else problem
 

@@ -79,7 +79,7 @@ class Condition:
     Attributes
     ----------
     name : str
-    result : Result
+    result : ConditionResult
     value : float
         Largest violation, dimensionless (see ``meaning``).
     tolerance : float
@@ -219,8 +219,8 @@ class Verdict(PrintableResult):
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or the statement that all pass."""
-        how = " (multipliers estimated)" if self.estimated else ""
-        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
+        note = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{note}: {self.headline}."]
         for c in self.conditions:
             if c.result is not ConditionResult.PASS:
                 size = "" if math.isnan(c.value) else f"{c.value:.2e} (tolerance {c.tolerance:.0e}) at "
@@ -234,15 +234,15 @@ class Verdict(PrintableResult):
 
     def __str__(self) -> str:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
-        groups, left = self.condition_groups, self.open_conditions
-        failing = next((found for found in groups.values() if any(c in left for c in found)), [])
+        groups, unmet = self.condition_groups, self.open_conditions
+        failing = next((found for found in groups.values() if any(c in unmet for c in found)), [])
         lines = [f"no solution, status {self.solver_failure}"] * bool(self.solver_failure)
-        lines += [line for c in failing if c in left for line in self._explain_condition(c)]
-        also = ", ".join(c.name for c in left if c not in failing)
-        lines += [f"also: {also}"] * bool(also)
+        lines += [line for c in failing if c in unmet for line in self._explain_condition(c)]
+        others = ", ".join(c.name for c in unmet if c not in failing)
+        lines += [f"also: {others}"] * bool(others)
         worst = {group: find_worst_optimality_condition(found) for group, found in groups.items()}
-        places = [replace(c, where=c.where.partition(";")[0]).location_text for c in worst.values()]
-        rows = [(g, c, f"{c.name}: {place}") for (g, c), place in zip(worst.items(), places, strict=True)]
+        locations = [replace(c, where=c.where.partition(";")[0]).location_text for c in worst.values()]
+        rows = [(g, c, f"{c.name}: {place}") for (g, c), place in zip(worst.items(), locations, strict=True)]
         return "\n".join([*lines, *_format_condition_table("group", rows), f"verdict: {self.outcome}"])
 
     def _explain_condition(self, condition: Condition) -> list[str]:
@@ -251,17 +251,17 @@ class Verdict(PrintableResult):
         lines = [f"{condition.result.value} {condition.name}: {size}", f"  at {condition.where}"]
         if condition.loss is not None:
             lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
-        of_samples = f"{condition.name} of samples" if self.estimated else ""
-        remedy = REMEDIES.get(of_samples, REMEDIES.get(condition.name))
+        sample_key = f"{condition.name} of samples" if self.estimated else ""
+        remedy = REMEDIES.get(sample_key, REMEDIES.get(condition.name))
         return [*lines, f"  {remedy}"] if remedy and not self.solver_failure else lines
 
     @property
     def condition_groups(self) -> dict[str, list[Condition]]:
         """Conditions by group: feasibility, first order, second order; others form a group each."""
-        known = {name: group for group, names in GROUPS.items() for name in names}
+        group_by_name = {name: group for group, names in GROUPS.items() for name in names}
         groups: dict[str, list[Condition]] = {}
         for c in self.conditions:
-            groups.setdefault(known.get(c.name, c.name), []).append(c)
+            groups.setdefault(group_by_name.get(c.name, c.name), []).append(c)
         return groups
 
     def __repr__(self) -> str:

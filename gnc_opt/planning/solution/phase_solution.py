@@ -263,8 +263,8 @@ class PhaseSolution:
     ) -> Array:
         values = source(t, side)
         if composed is not None:
-            parts = (values[self.controls.slice(part)] for part in composed.parts)
-            return np.asarray(composed.compose_control(*parts))
+            part_values = (values[self.controls.slice(part)] for part in composed.parts)
+            return np.asarray(composed.compose_control(*part_values))
         return values if self.turns is None else self.turns.wrap_angles(values)
 
     def _build_state_or_control_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
@@ -308,7 +308,7 @@ def truncate_phase_to_start_time(phase: PhaseSolution, time: float) -> PhaseSolu
     breaks = np.append(time, phase.breaks[first + 1 :])
     degrees = phase.mesh.degrees[first:]
     mesh = Mesh.at_times(breaks, degrees)
-    fresh = replace(
+    remaining = replace(
         phase,
         mesh=mesh,
         initial_time=time,
@@ -320,13 +320,13 @@ def truncate_phase_to_start_time(phase: PhaseSolution, time: float) -> PhaseSolu
     lam_start[:, 0] = phase.lam(time)
     impulses[:, 0] = -lam_start[:, 0]  # fixed initial state: L = J + multiplier (x - x0), dJ/dx0 = lam
     return replace(
-        fresh,
+        remaining,
         lam_start=lam_start,
         lam_end=phase.lam_end[:, first:],
-        point_costates=fresh.sample_at_collocation_points(phase.lam),
-        path_multipliers=fresh.sample_at_collocation_points(phase.path_multiplier),
-        state_multipliers=fresh.sample_at_collocation_points(phase.state_multiplier),
-        control_multipliers=fresh.sample_at_collocation_points(phase.control_multiplier),
+        point_costates=remaining.sample_at_collocation_points(phase.lam),
+        path_multipliers=remaining.sample_at_collocation_points(phase.path_multiplier),
+        state_multipliers=remaining.sample_at_collocation_points(phase.state_multiplier),
+        control_multipliers=remaining.sample_at_collocation_points(phase.control_multiplier),
         state_impulses=impulses,
     )
 
@@ -335,7 +335,7 @@ def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> 
     """Return the segments from ``first`` on, with the first one starting at the first break: the same polynomials."""
     left, right = signal.breaks[first], signal.breaks[first + 1]
     nodes = signal.nodes[first]
-    places = breaks[0] + 0.5 * (breaks[1] - breaks[0]) * (1 + nodes)
-    own = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
-    values = (own(np.clip(places, left, right)), *signal.values[first + 1 :])
+    times = breaks[0] + 0.5 * (breaks[1] - breaks[0]) * (1 + nodes)
+    first_piece = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
+    values = (first_piece(np.clip(times, left, right)), *signal.values[first + 1 :])
     return PiecewisePolynomial(breaks, signal.nodes[first:], values)

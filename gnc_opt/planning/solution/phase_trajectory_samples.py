@@ -77,18 +77,18 @@ class PhaseSamples:
     def from_phase(
         cls, phase: PhaseSolution, functions: PhaseFunctions, feature_edges: Array = NO_EDGES
     ) -> PhaseSamples:
-        edges, owners = phase.breaks, np.arange(phase.mesh.segments)
+        edges, segments = phase.breaks, np.arange(phase.mesh.segments)
         if feature_edges.size:
             edges = np.union1d(edges, feature_edges)
-            owners = np.searchsorted(phase.breaks, edges[:-1], "right") - 1
-        places = [choose_segment_sample_points(phase.mesh.degrees[k]) for k in owners]
-        cells = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
-        tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
+            segments = np.searchsorted(phase.breaks, edges[:-1], "right") - 1
+        cell_points = [choose_segment_sample_points(phase.mesh.degrees[k]) for k in segments]
+        cells = np.repeat(np.arange(len(cell_points)), [tau.size for tau, _ in cell_points])
+        tau, weights = (np.concatenate(part) for part in zip(*cell_points, strict=True))
         halves = 0.5 * np.diff(edges)[cells]
         times = edges[cells] + halves * (1 + tau)
         ends = np.append(np.flatnonzero(np.diff(cells)), cells.size - 1)
         times[ends] = edges[1:]  # exact
-        return cls(phase, functions, times, owners[cells], halves * weights, feature_edges=feature_edges)
+        return cls(phase, functions, times, segments[cells], halves * weights, feature_edges=feature_edges)
 
     def with_cost_scale(self, amount: float, feature_edges: Array) -> PhaseSamples:
         """Return samples with another cost magnitude and further cells; without these, cached values are kept."""
@@ -108,13 +108,13 @@ class PhaseSamples:
         widths = np.diff(breaks)
         steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
         pieces = zip(breaks[:-1], breaks[1:], steps, strict=True)
-        even = [np.linspace(left, right, n + 1) for left, right, n in pieces]
-        edges = np.unique(np.concatenate([*even, self.feature_edges]))
-        cells, owners = np.diff(edges), np.searchsorted(breaks, edges[:-1], "right") - 1
+        edges_by_segment = [np.linspace(left, right, n + 1) for left, right, n in pieces]
+        edges = np.unique(np.concatenate([*edges_by_segment, self.feature_edges]))
+        cells, segment_of_cell = np.diff(edges), np.searchsorted(breaks, edges[:-1], "right") - 1
         pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
-        points, every = (edges[:-1, None] + cells[:, None] * pair).ravel(), np.arange(steps.size)
+        points, all_segments = (edges[:-1, None] + cells[:, None] * pair).ravel(), np.arange(steps.size)
         times = np.concatenate([points, breaks[:-1], breaks[1:]])
-        segments = np.concatenate([np.repeat(owners, 2), every, every])
+        segments = np.concatenate([np.repeat(segment_of_cell, 2), all_segments, all_segments])
         weights = np.concatenate([np.repeat(0.5 * cells, 2), np.zeros(2 * steps.size)])
         order = np.lexsort((times, segments))
         return replace(self, times=times[order], segments=segments[order], weights=weights[order])
@@ -161,11 +161,11 @@ class PhaseSamples:
         """
         u, bounds = self.u_polynomial if u is None else u, self.phase.control_bounds
         values = function(self.times_inside_segments, self.x, u)
-        lost = np.any(np.isnan(values), axis=0)
-        if np.any(lost):
-            inside = np.clip(u[:, lost], bounds.lower[:, None], bounds.upper[:, None])
+        is_nan = np.any(np.isnan(values), axis=0)
+        if np.any(is_nan):
+            clipped = np.clip(u[:, is_nan], bounds.lower[:, None], bounds.upper[:, None])
             values = values.copy()
-            values[:, lost] = function(self.times_inside_segments[lost], self.x[:, lost], inside)
+            values[:, is_nan] = function(self.times_inside_segments[is_nan], self.x[:, is_nan], clipped)
         return values
 
     @cached_property
@@ -180,13 +180,13 @@ class PhaseSamples:
             if vector.direction_norm_constraint_name in rows
             for i in layout.indices(vector.direction)
         }
-        at = self.times, self.x, self.u, self.control_scale
-        idle = mask_inactive_controls(self.functions, bounds, *at, norms)
+        arguments = self.times, self.x, self.u, self.control_scale
+        inactive = mask_inactive_controls(self.functions, bounds, *arguments, norms)
         for vector in vectors:
             magnitude = self.u[layout.slice(vector.magnitude)]
             scale = self.control_scale[layout.slice(vector.magnitude), None]
-            idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
-        return idle
+            inactive[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
+        return inactive
 
     @cached_property
     def is_at_control_bounds(self) -> Mask:
@@ -247,24 +247,24 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """Scale of each control, from its own variation or the costates (m,); module `state_and_control_scales`."""
         terms = np.abs(self.switching_functions - self.cost_gradient)
-        most = float(np.nanmax(self._costate_rate_product_magnitudes, initial=0.0))
-        asked = estimate_required_controls(self.phase, self.functions)
+        rate_magnitude = float(np.nanmax(self._costate_rate_product_magnitudes, initial=0.0))
+        required = estimate_required_controls(self.phase, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = compute_control_scales(self.phase, self.u, terms, curvature, most, asked)
+        spans = compute_control_scales(self.phase, self.u, terms, curvature, rate_magnitude, required)
         quadratic = [self._is_hamiltonian_quadratic(i, spans[i], curvature[i]) for i in range(spans.size)]
         if all(quadratic):
             return spans
         curvature = np.where(np.array(quadratic)[:, None], curvature, 0.0)
-        return compute_control_scales(self.phase, self.u, terms, curvature, most, asked)
+        return compute_control_scales(self.phase, self.u, terms, curvature, rate_magnitude, required)
 
     def _is_hamiltonian_quadratic(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
-        at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
+        j = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
         step = np.zeros((self.u.shape[0], 1))
         step[i] = 0.5 * span
-        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
+        t, x, lam, u = self.times[j], self.x[:, j], self.lam[:, j], self.u[:, j]
         before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
-        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
+        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[j[0]]) * step[i, 0] ** 2
 
     @cached_property
     def angular_control_periods(self) -> Array:
@@ -274,7 +274,7 @@ class PhaseSamples:
         probe = AngleProbe(
             lambda u: self.functions.evaluate_rates_paths_and_integrands(self.times, self.x, u), self.u
         )
-        return np.array([probe.find_angle_period(i) if wanted else 0.0 for i, wanted in enumerate(unbounded)])
+        return np.array([probe.find_angle_period(i) if free else 0.0 for i, free in enumerate(unbounded)])
 
     @cached_property
     def switching_functions(self) -> Array:
@@ -291,8 +291,8 @@ class PhaseSamples:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
         by_slope = _compute_largest_finite_value(slopes * amplitude)
-        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
-        return np.fmax(by_slope, _compute_largest_finite_value(bends))
+        by_curvature = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
+        return np.fmax(by_slope, _compute_largest_finite_value(by_curvature))
 
     @property
     def max_hamiltonian_change(self) -> float:
@@ -312,15 +312,15 @@ class PhaseSamples:
     @property
     def hamiltonian_rounding_level(self) -> float:
         """Cost per second below which differences of H are rounding."""
-        least = COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude
-        return least / self.span if least > 0 else 1e-9
+        rounding = COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude
+        return rounding / self.span if rounding > 0 else 1e-9
 
     @cached_property
     def control_scale(self) -> Array:
         """Range of each control, or its variation if a limit is far away; its magnitude without limits (m,)."""
-        span, reach = self.phase.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
-        span = np.where(span > FAR_LIMIT_RATIO * self.control_span, self.control_span, span)
-        return np.where(span > 0, span, replace_tiny_by_one(reach))
+        scale, magnitude = self.phase.control_bounds.interval_width_or_zero, np.max(np.abs(self.u), axis=1)
+        scale = np.where(scale > FAR_LIMIT_RATIO * self.control_span, self.control_span, scale)
+        return np.where(scale > 0, scale, replace_tiny_by_one(magnitude))
 
     @cached_property
     def cost_scale(self) -> float:
@@ -370,10 +370,10 @@ class PhaseSamples:
     def has_duration(self) -> bool:
         """Whether the phase is not empty: its duration is not at a lower bound of zero."""
         phase, first, last = self.phase, self.phase.initial_time_bounds, self.phase.final_time_bounds
-        least = max(phase.duration_bounds.lower[0], last.lower[0] - first.upper[0])
-        most = min(phase.duration_bounds.upper[0], last.upper[0] - first.lower[0])
-        near = min(AT_LIMIT * most, MAGNITUDE_FLOOR) if np.isfinite(most) else SHORTEST
-        return bool(least > 0 or phase.duration > near)
+        shortest = max(phase.duration_bounds.lower[0], last.lower[0] - first.upper[0])
+        longest = min(phase.duration_bounds.upper[0], last.upper[0] - first.lower[0])
+        negligible = min(AT_LIMIT * longest, MAGNITUDE_FLOOR) if np.isfinite(longest) else SHORTEST
+        return bool(shortest > 0 or phase.duration > negligible)
 
     @cached_property
     def pure_state_constraints(self) -> Indices:
@@ -383,9 +383,9 @@ class PhaseSamples:
     @cached_property
     def path_constraint_variations(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
-        at = self.times, self.x, self.u
-        by_state = np.abs(self.functions.path_state_jacobian(*at))
-        by_control = np.abs(self.functions.path_control_jacobian(*at))
+        arguments = self.times, self.x, self.u
+        by_state = np.abs(self.functions.path_state_jacobian(*arguments))
+        by_control = np.abs(self.functions.path_control_jacobian(*arguments))
         pairs = (by_state, self.state_scale), (by_control, self.control_scale)
         return np.asarray(np.max(sum(np.einsum("ijt,j->it", *pair) for pair in pairs), axis=1))
 

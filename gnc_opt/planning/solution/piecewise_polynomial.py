@@ -72,20 +72,20 @@ class PiecewisePolynomial:
         times = self._clamp_times(np.atleast_1d(read_float_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
-        for group, here, places, basis in build(*self._breaks_and_nodes, times.tobytes(), side):
-            values = self._segment_values_by_node_group[group][:, :, places]
-            result[:, here] = np.einsum("mnt,tm->nt", values, basis)
+        for group, columns, segments, basis in build(*self._breaks_and_nodes, times.tobytes(), side):
+            values = self._segment_values_by_node_group[group][:, :, segments]
+            result[:, columns] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
 
     def evaluate_at_normalised_times(self, tau: ArrayLike) -> Array:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
-        at = np.atleast_1d(read_float_array(tau, "the place"))
-        result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
+        points = np.atleast_1d(read_float_array(tau, "the place"))
+        result = np.empty((self.values[0].shape[0], len(self.nodes), points.size))
         groups = _group_segments_by_equal_nodes(self._breaks_and_nodes[1])
         groups_with_values = zip(groups, self._segment_values_by_node_group, strict=True)
-        for (nodes, weights, places), values in groups_with_values:
-            basis = interpolate_barycentric(nodes, weights, at)
-            result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
+        for (nodes, weights, positions), values in groups_with_values:
+            basis = interpolate_barycentric(nodes, weights, points)
+            result[:, positions >= 0] = np.tensordot(values, basis, axes=(0, 1))
         return result
 
     def derivative(self) -> PiecewisePolynomial:
@@ -121,8 +121,8 @@ class PiecewisePolynomial:
     def _segment_values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
         groups = [
-            np.flatnonzero(places >= 0)
-            for _, _, places in _group_segments_by_equal_nodes(self._breaks_and_nodes[1])
+            np.flatnonzero(positions >= 0)
+            for _, _, positions in _group_segments_by_equal_nodes(self._breaks_and_nodes[1])
         ]
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
@@ -137,28 +137,28 @@ def _group_segments_by_equal_nodes(nodes: tuple[bytes, ...]) -> tuple[tuple[Arra
     groups: dict[bytes, list[int]] = {}
     for k, x in enumerate(nodes):
         groups.setdefault(x, []).append(k)
-    found = []
+    node_groups = []
     for x, segments in groups.items():
-        places = np.full(len(nodes), -1)
-        places[segments] = np.arange(len(segments))
-        found.append((np.frombuffer(x), compute_barycentric_weights(np.frombuffer(x)), places))
-    return tuple(found)
+        positions = np.full(len(nodes), -1)
+        positions[segments] = np.arange(len(segments))
+        node_groups.append((np.frombuffer(x), compute_barycentric_weights(np.frombuffer(x)), positions))
+    return tuple(node_groups)
 
 
 def _build_interpolation_bases(
     breaks: bytes, nodes: tuple[bytes, ...], at: bytes, side: Side
 ) -> tuple[_LagrangeBasis, ...]:
     """Return the bases at times within the interval, by group."""
-    edges, times, found = np.frombuffer(breaks), np.frombuffer(at), []
+    edges, times, bases = np.frombuffer(breaks), np.frombuffer(at), []
     segment = edges[1:-1].searchsorted(times, side)
     initial, final = edges[segment], edges[segment + 1]
     tau = ((times - initial) - (final - times)) / (final - initial)
-    for group, (own, weights, places) in enumerate(_group_segments_by_equal_nodes(nodes)):
-        here = np.flatnonzero(places[segment] >= 0)
-        if here.size:
-            basis = interpolate_barycentric(own, weights, tau[here])
-            found.append((group, here, places[segment][here], basis))
-    return tuple(found)
+    for group, (group_nodes, weights, positions) in enumerate(_group_segments_by_equal_nodes(nodes)):
+        columns = np.flatnonzero(positions[segment] >= 0)
+        if columns.size:
+            basis = interpolate_barycentric(group_nodes, weights, tau[columns])
+            bases.append((group, columns, positions[segment][columns], basis))
+    return tuple(bases)
 
 
 _get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_bases)
@@ -167,13 +167,13 @@ _get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_
 def _check_nodes_and_values(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
-    good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have equal nodes
+    checked: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have equal nodes
     for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
         key = (x.shape, x.tobytes())
         vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES
-        if key not in good and not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
+        if key not in checked and not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
             raise ArgumentError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
-        good.add(key)
+        checked.add(key)
         if v.ndim != 2 or v.shape != (len(values[0]), x.size):
             raise ArgumentError(
                 f"segment {k}: values have shape {v.shape}, need (components, {x.size}) throughout"
@@ -218,8 +218,8 @@ class SaturatedControl:
         edges = []
         for k, rule in enumerate(self.rules):
             left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
-            shares = np.concatenate([[0.0], np.cumsum(rule.weights)]) / 2.0
-            edges.append(left + (right - left) * shares)
+            fractions = np.concatenate([[0.0], np.cumsum(rule.weights)]) / 2.0
+            edges.append(left + (right - left) * fractions)
         return tuple(edges)
 
     @cached_property
@@ -241,9 +241,9 @@ class SaturatedControl:
         values = self.evaluate_clipped_polynomial(times, side)
         segment = self.polynomial.breaks[1:-1].searchsorted(times, side)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):
-            channels, here = np.flatnonzero(self.is_piecewise_constant[:, k]), np.flatnonzero(segment == k)
-            cell = np.searchsorted(self._quadrature_cell_edges[k], times[here], side) - 1
+            channels, columns = np.flatnonzero(self.is_piecewise_constant[:, k]), np.flatnonzero(segment == k)
+            cell = np.searchsorted(self._quadrature_cell_edges[k], times[columns], side) - 1
             cell = np.clip(cell, 0, self.rules[k].n - 1)
             nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
-            values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
+            values[np.ix_(channels, columns)] = nodal[np.ix_(channels, cell)]
         return values if np.ndim(t) else values[:, 0]

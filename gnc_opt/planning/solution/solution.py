@@ -193,28 +193,28 @@ class Solution(PrintableResult):
 
     def multiplier(self, name: str) -> Array | float:
         """Return the multiplier(s) nu of a named boundary constraint."""
-        chosen = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
-        if not chosen:
+        rows = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
+        if not rows:
             known = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
             raise unknown_name_error(
                 "boundary constraint", name, f"the solution of '{self.problem_name}'", known
             )
-        values = self.constraint_multipliers[chosen]
+        values = self.constraint_multipliers[rows]
         return float(values[0]) if values.size == 1 else values
 
     def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
         """Return H = L + lambda.f at time(s) t; needs the problem."""
         selected = self.phase(phase)
-        at = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
-        return drop_singleton_axes(self.phase_functions(selected.name).hamiltonian(*at)[None], t)
+        arguments = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
+        return drop_singleton_axes(self.phase_functions(selected.name).hamiltonian(*arguments)[None], t)
 
     def switching_function(
         self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"
     ) -> Array | float:
         """Return dH/du of a control at time(s) t; positive values imply the lower bound."""
         selected = self.phase(phase)
-        at = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
-        values = self.phase_functions(selected.name).switching_functions(*at)
+        arguments = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
+        values = self.phase_functions(selected.name).switching_functions(*arguments)
         return drop_singleton_axes(values[selected.controls.slice(name)], t)
 
     def evaluate(
@@ -230,8 +230,8 @@ class Solution(PrintableResult):
         selected = self.phase(phase)
         problem = self.need_problem("evaluate")
         function = compile_expression(problem, selected.name, expression)
-        at = t, selected.x(t, side), selected.u(t, side)
-        return drop_singleton_axes(function(*at, selected.parameters, self.parameter_values), t)
+        arguments = t, selected.x(t, side), selected.u(t, side)
+        return drop_singleton_axes(function(*arguments, selected.parameters, self.parameter_values), t)
 
     def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
@@ -272,14 +272,14 @@ class Solution(PrintableResult):
     def outside_tables(self) -> list[OutsideTable]:
         """Return where the trajectory is outside of the tables of its problem; needs the problem."""
         problem = self.need_problem("look for the tables of")
-        found: list[OutsideTable] = []
+        outside: list[OutsideTable] = []
         for name, phase in problem.phases.items():
             if list_table_calls(problem, phase):
                 s = self._cached_phase_samples[name]
-                numbers = s.phase.parameters, self.parameter_values
-                found += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *numbers)
-        ends = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
-        return found + find_boundary_values_outside_tables(problem, [*ends, self.parameter_values])
+                parameters = s.phase.parameters, self.parameter_values
+                outside += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *parameters)
+        values = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
+        return outside + find_boundary_values_outside_tables(problem, [*values, self.parameter_values])
 
     def propagate(self, phase: str | None = None) -> Propagation:
         """Return the dynamics integrated with the applied control (DOP853), independently of the collocation.
@@ -498,11 +498,11 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     >>> print(go.load(path, problem=problem).objective == solution.objective)
     True
     """
-    solution, more = SOLUTION_FILES.read_result_file(path)
+    solution, stored = SOLUTION_FILES.read_result_file(path)
     assert isinstance(solution, Solution)
-    solution = replace(solution, history=more.get("history"))
+    solution = replace(solution, history=stored.get("history"))
     if problem is not None:
         return solution.with_problem(problem)
-    if more.get("accuracy") is not None:
-        vars(solution)["accuracy"] = more["accuracy"]  # value of the cached property
+    if stored.get("accuracy") is not None:
+        vars(solution)["accuracy"] = stored["accuracy"]  # value of the cached property
     return solution

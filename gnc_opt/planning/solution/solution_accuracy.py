@@ -70,8 +70,8 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
             excess += _weight_violations_by_multipliers(s, s.x, s.phase.state_bounds, s.state_multiplier)
             infeasibility += np.sum(defects + excess)
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
-    found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
-    return ObjectiveError(float(found[0]), float(found[1]), scale)
+    sums = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
+    return ObjectiveError(float(sums[0]), float(sums[1]), scale)
 
 
 def _compute_cost_of_segment_defects(s: PhaseSamples) -> Array:
@@ -94,11 +94,11 @@ def _weight_violations_by_multipliers(
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
     """
-    priced = np.maximum(multipliers, 0.0) * np.maximum(values - bounds.upper[:, None], 0.0)
-    priced += np.maximum(-multipliers, 0.0) * np.maximum(bounds.lower[:, None] - values, 0.0)
+    weighted = np.maximum(multipliers, 0.0) * np.maximum(values - bounds.upper[:, None], 0.0)
+    weighted += np.maximum(-multipliers, 0.0) * np.maximum(bounds.lower[:, None] - values, 0.0)
     equations = bounds.is_fixed
-    priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
-    return np.asarray(np.sum(np.abs(s.integrate_over_segments(priced)), axis=0))
+    weighted[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
+    return np.asarray(np.sum(np.abs(s.integrate_over_segments(weighted)), axis=0))
 
 
 def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
@@ -106,20 +106,20 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     if not s.phase.controls.size:
         return np.zeros(s.phase.mesh.segments)
     bounds = s.phase.path_bounds  # interpolated multipliers may have the wrong sign between the points
-    least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
-    most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
-    at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    gradient = set_nonfinite_to_zero(s.functions.control_gradient(*at))
-    hessian = set_nonfinite_to_zero(s.functions.control_hessian(*at))
-    slope, curvature = _project_hamiltonian_derivatives_on_active_paths(s, at[-1], gradient, hessian)
+    lower_mu = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
+    upper_mu = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
+    arguments = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, lower_mu, upper_mu)
+    gradient = set_nonfinite_to_zero(s.functions.control_gradient(*arguments))
+    hessian = set_nonfinite_to_zero(s.functions.control_hessian(*arguments))
+    slope, curvature = _project_hamiltonian_derivatives_on_active_paths(s, arguments[-1], gradient, hessian)
     bounds = s.phase.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
     gains = _maximise_bounded_quadratic(slope, curvature, lower, upper)
-    net = s.integrate_over_segments(np.sum(gains, axis=0))
-    positive = s.integrate_over_segments(np.sum(np.maximum(gains, 0.0), axis=0))
-    return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
+    net_decrease = s.integrate_over_segments(np.sum(gains, axis=0))
+    sum_of_decreases = s.integrate_over_segments(np.sum(np.maximum(gains, 0.0), axis=0))
+    return np.maximum(np.abs(net_decrease), UNCANCELLED_SHARE * sum_of_decreases)
 
 
 def _project_hamiltonian_derivatives_on_active_paths(
@@ -218,7 +218,7 @@ class Accuracy:
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
-    worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
+    violation, end_error, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
         phase, edges = s.phase, s.phase.applied.jump_times
@@ -229,20 +229,20 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
         pairs = zip(phase.states.labels, phase.states.units, strict=True)
         labels = [f"{label} ({unit})" if unit else label for label, unit in pairs]
         x = integrate_states_to_times(phase, s.functions, pieces.ravel())
-        missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
+        end_error = max(end_error, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, u)
         of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
-        worst = max(worst, of_states, of_paths, key=itemgetter(0))
+        violation = max(violation, of_states, of_paths, key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
-    return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
+    return Accuracy(objective, error, *violation[1:], *end_error[1:], defect.value, defect.where)
 
 
 def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
     phase, box = s.phase, s.phase.final_bounds
-    miss = np.abs(end - phase.x(phase.breaks[-1]))
-    error = np.max([miss, box.lower - end, end - box.upper], axis=0)
+    difference = np.abs(end - phase.x(phase.breaks[-1]))
+    error = np.max([difference, box.lower - end, end - box.upper], axis=0)
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {phase.name}"
     i = int(np.argmax(error / s.state_scale))
@@ -258,14 +258,14 @@ def _find_limit_violation(
     with np.errstate(invalid="ignore"):
         excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
     excess = np.where(np.isfinite(values), excess, -np.inf)
-    limits = np.minimum(*(np.abs(set_nonfinite_to_zero(b)) for b in (box.lower, box.upper)))
+    magnitudes = np.minimum(*(np.abs(set_nonfinite_to_zero(b)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
     tau = np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)
     curve = np.append(piece, build_lagrange_interpolation_matrix(PIECE_POINTS, tau) @ piece)
-    beyond = np.maximum(box.lower[i] - curve, curve - box.upper[i])
-    peak = float(np.max(beyond, where=np.isfinite(curve), initial=-np.inf))
-    if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
+    curve_excess = np.maximum(box.lower[i] - curve, curve - box.upper[i])
+    peak = float(np.max(curve_excess, where=np.isfinite(curve), initial=-np.inf))
+    if not peak > ROUNDING * max(float(magnitudes[i]), float(scale[i])):
         return 0.0, 0.0, ""
     return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[int(i)])
 

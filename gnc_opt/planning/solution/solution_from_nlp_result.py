@@ -82,8 +82,8 @@ def build_phase_solutions(
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
         states = iterate.x[part.collocation.boundary_states]
-        anchors, spans, at = _read_collocation_points(transcription, problem, part, iterate.x)
-        integrands = bind_parameters(problem, name, q).integrands(*at)
+        anchors, spans, trajectory = _read_collocation_points(transcription, problem, part, iterate.x)
+        integrands = bind_parameters(problem, name, q).integrands(*trajectory)
         integrals[name] = np.asarray(integrands @ (part.collocation.quadrature_weights * spans))
         p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
@@ -98,12 +98,12 @@ def build_phase_solutions(
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with unwrapped angular controls."""
     q = variables[transcription.parameter_places]
-    found = variables.copy()
+    unwrapped = variables.copy()
     for name, part in transcription.parts.items():
         functions, bounds = bind_parameters(problem, name, q), problem.phases[name].numbers.controls
-        at = _read_collocation_points(transcription, problem, part, variables)[2]
-        found[part.collocation.point_controls] = unwrap_angles(functions, bounds, *at)
-    return found
+        trajectory = _read_collocation_points(transcription, problem, part, variables)[2]
+        unwrapped[part.collocation.point_controls] = unwrap_angles(functions, bounds, *trajectory)
+    return unwrapped
 
 
 def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
@@ -118,16 +118,16 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
     if not np.any((widths > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
-    along = AngleProbe(lambda other: functions.evaluate_rates_paths_and_integrands(t, x, other), u)
-    angles = {i: period for i in range(widths.size) if 0 < (period := along.find_angle_period(i)) < widths[i]}
-    turned = u.copy()
+    probe = AngleProbe(lambda other: functions.evaluate_rates_paths_and_integrands(t, x, other), u)
+    angles = {i: period for i in range(widths.size) if 0 < (period := probe.find_angle_period(i)) < widths[i]}
+    unwrapped = u.copy()
     for i, period in angles.items():
         angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]
-        least = np.ceil((bounds.lower[i] - np.min(angle)) / period)
+        fewest = np.ceil((bounds.lower[i] - np.min(angle)) / period)
         most = np.floor((bounds.upper[i] - np.max(angle)) / period)
-        if least <= most:  # the smallest number of whole turns that moves the angles into their bounds
-            turned[i] = angle + period * np.clip(0.0, least, most)
-    return turned
+        if fewest <= most:  # the smallest number of whole turns that moves the angles into their bounds
+            unwrapped[i] = angle + period * np.clip(0.0, fewest, most)
+    return unwrapped
 
 
 def _read_collocation_points(
@@ -174,11 +174,11 @@ def _build_phase_solution(
     rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _fix_movable_mesh_breaks(collocation.mesh, anchors)
-    without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
-    push = gradient - without_pure
-    costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, push)
+    mixed_gradient = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
+    pure_part = gradient - mixed_gradient
+    costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, pure_part)
     aligned = _align_directions_with_primer_vector(phase, functions, times, x, u, lam)
-    found = PhaseSolution(
+    solution = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
         mesh=mesh,
@@ -202,24 +202,24 @@ def _build_phase_solution(
         turns=phase.numbers.turns,
         **copy_problem_data_to_solution(problem, phase, q),
     )
-    return correct_constraint_arc_costates(found, phase.numbers.arcs, functions)
+    return correct_constraint_arc_costates(solution, phase.numbers.arcs, functions)
 
 
 def _align_directions_with_primer_vector(
     phase: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
-    layout, found = phase.model.controls, u.copy(order="K")
+    layout, aligned = phase.model.controls, u.copy(order="K")
     stated = {c.parts for c in phase.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
     for vector in (v for v in phase.vector_controls if v.parts[1:] in stated):
         size, direction = layout.slice(vector.magnitude), layout.slice(vector.direction)
-        at = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
-        pushing = u[:, at].copy()
-        pushing[size] = 1.0
-        primer = functions.switching_functions(times[at], x[:, at], pushing, lam[:, at])[direction]
-        most = np.max(np.linalg.norm(primer, axis=0), initial=0.0)
-        found[direction, at] = -0.5 * primer / most if most > 0 else u[direction, at]
-    return found
+        zero = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
+        thrusting = u[:, zero].copy()
+        thrusting[size] = 1.0
+        primer = functions.switching_functions(times[zero], x[:, zero], thrusting, lam[:, zero])[direction]
+        largest = np.max(np.linalg.norm(primer, axis=0), initial=0.0)
+        aligned[direction, zero] = -0.5 * primer / largest if largest > 0 else u[direction, zero]
+    return aligned
 
 
 def build_state_polynomial(
@@ -232,13 +232,13 @@ def build_state_polynomial(
         if collocation.family.has_dynamics_row_at_segment_end:
             states = states[:, :-1]
         if collocation.family.ends_at_point:
-            here = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]
-            extra = ~np.isin(rule.state_nodes, rule.points)
-            path = rule.build_integration_matrix(rule.state_nodes[extra])
-            middle = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * here @ path.T
-            full = np.empty((states.shape[0], rule.n + 1))
-            full[:, ~extra], full[:, extra] = states, middle
-            states = full
+            rates = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]
+            is_extra_node = ~np.isin(rule.state_nodes, rule.points)
+            integration = rule.build_integration_matrix(rule.state_nodes[is_extra_node])
+            added = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * rates @ integration.T
+            all_states = np.empty((states.shape[0], rule.n + 1))
+            all_states[:, ~is_extra_node], all_states[:, is_extra_node] = states, added
+            states = all_states
         nodes.append(rule.state_nodes)
         values.append(states)
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))

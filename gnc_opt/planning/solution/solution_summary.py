@@ -58,9 +58,9 @@ def summary(solution: SolutionLike) -> str:
     >>> print(summary(solution).splitlines()[0].partition(",")[0])
     rest to rest in minimum time: refined (converged)
     """
-    unit, spent, history = time_unit(solution), solution.statistics, solution.history
+    unit, statistics, history = time_unit(solution), solution.statistics, solution.history
     times = [f"{n} {x.initial_time:.10g} to {x.final_time:.10g} {unit}" for n, x in solution.phases.items()]
-    seconds = spent.build_s + spent.solve_s if history is None else history.seconds
+    seconds = statistics.build_s + statistics.solve_s if history is None else history.seconds
     rows = [
         *_summarise_failure(solution),
         *_summarise_optimality(solution),
@@ -69,7 +69,7 @@ def summary(solution: SolutionLike) -> str:
         *_summarise_refinement(solution),
         *_summarise_lower_bound_and_norms(solution),
         ("mesh", format_mesh(solution)),
-        ("time spent", f"{seconds:.2f} s; last solve: {spent.summary_text}"),
+        ("time spent", f"{seconds:.2f} s; last solve: {statistics.summary_text}"),
         *(("table", str(found)) for found in list_points_outside_tables(solution)),
     ]
     lines = [f"  {label:<{LABEL_WIDTH}}{text}" for label, text in rows]
@@ -78,20 +78,20 @@ def summary(solution: SolutionLike) -> str:
 
 def get_available_solution_accuracy(solution: SolutionLike) -> Accuracy | None:
     """Return the accuracy, computed or stored in the file; None if neither is possible."""
-    known: Accuracy | None = vars(solution).get("accuracy")
-    return known if solution.problem is None else solution.accuracy
+    accuracy: Accuracy | None = vars(solution).get("accuracy")
+    return accuracy if solution.problem is None else solution.accuracy
 
 
 def format_mesh(solution: SolutionLike) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
-    named = []
+    texts = []
     for name, mesh in ((name, phase.mesh) for name, phase in solution.phases.items()):
         low, high = min(mesh.degrees), max(mesh.degrees)
         text = f"{name} " * (len(solution.phases) > 1) + pluralise_noun(mesh.segments, "segment")
         text += f", degree {low}" + f" to {high}" * (high > low)
-        free = f", {pluralise_noun(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
-        named.append(text + free)
-    return f"{'; '.join(named)}, {_FAMILY_NAMES[solution.scheme]}"
+        breakpoints = f", {pluralise_noun(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+        texts.append(text + breakpoints)
+    return f"{'; '.join(texts)}, {_FAMILY_NAMES[solution.scheme]}"
 
 
 def format_objective(solution: SolutionLike) -> str:

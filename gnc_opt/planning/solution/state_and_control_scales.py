@@ -48,13 +48,13 @@ def mask_inactive_controls(
     The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls. ``norms``
     maps a component of a direction to the path constraint of its length, which does not count as an effect.
     """
-    idle = np.zeros(u.shape, dtype=bool)
+    inactive = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
     lower, upper = bounds.is_near_limits(u, AT_LIMIT * scale)
-    bound = lower | upper
-    if coupled.size < 2 or not np.any(bound[coupled]):
-        return idle
-    bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
+    at_bound = lower | upper
+    if coupled.size < 2 or not np.any(at_bound[coupled]):
+        return inactive
+    bases = u, np.where(at_bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
     effects = [functions.evaluate_rates_paths_and_integrands(t, x, base) for base in bases]
     for i in coupled:
         step = scale[i] * (np.arange(scale.size) == i)[:, None]
@@ -67,8 +67,8 @@ def mask_inactive_controls(
             for change in changes:
                 change[x.shape[0] + norms[int(i)]] = 0.0
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
-        idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
-    return idle
+        inactive[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~at_bound[i]
+    return inactive
 
 
 STILL_STATE_SHARE = 1e-4
@@ -84,83 +84,89 @@ the variation of an inactive control. A wider range has a limit that the control
 
 
 def compute_state_scales(
-    phase: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
+    phase: PhaseSolution, functions: PhaseFunctions, control_scales: Array, *, lasting: bool
 ) -> Array:
-    """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
+    """Return the variation scale of each state (n_states,) for given scales of the controls (n_controls,)."""
     values = phase.x(phase.sample_times())
     size = np.max(np.abs(values), axis=1)
-    moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
-    if not lasting or np.max(moved) <= EQUAL:
+    motion = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
+    if not lasting or np.max(motion) <= EQUAL:
         return replace_tiny_by_one(take_largest_variable_component(size, phase.states))
-    movable = _estimate_controllable_changes(phase, functions, used)
-    movable = take_largest_variable_component(movable, phase.states)
-    spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
+    controllable = _estimate_controllable_changes(phase, functions, control_scales)
+    controllable = take_largest_variable_component(controllable, phase.states)
+    spans = np.where(motion > STILL_STATE_SHARE * controllable, motion, controllable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
-    boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
-    return _replace_zeros(spans, *(box.interval_width_or_zero for box in boxes), size, np.ones(size.size))
+    bounds = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
+    return _replace_zeros(spans, *(box.interval_width_or_zero for box in bounds), size, np.ones(size.size))
 
 
 def compute_control_scales(
-    phase: PhaseSolution, applied: Array, pull: Array, curvature: Array, terms: float, asked: Array | float
+    phase: PhaseSolution,
+    applied: Array,
+    slope: Array,
+    curvature: Array,
+    terms: float,
+    required: Array | float,
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
-    ``applied``, ``pull``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and d2H/du2.
-    A constant control has the scale pull / curvature; without it and a range, the control required for the motion
-    (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
+    ``applied``, ``slope``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and
+    d2H/du2. A constant control has the scale slope / curvature; without it and a range, the one required for the motion
+    (``required``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
     limit the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
-    extent, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
-    moved = np.ptp(applied, axis=1) if applied.size else size
-    steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
-    pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.fmax(moved, pulled)
-    idle = (extent > 0) & (spans <= NEGLIGIBLE * extent)
-    spans = np.where(idle & (most == 0), extent, np.where(extent > 0, np.minimum(spans, extent), spans))
+    width, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
+    variation = np.ptp(applied, axis=1) if applied.size else size
+    max_slope, max_curv = (np.max(np.abs(v), axis=1) for v in (slope, curvature))
+    by_slope = np.divide(max_slope, max_curv, out=np.zeros_like(max_curv), where=max_curv > 0)
+    spans = np.fmax(variation, by_slope)
+    inactive = (width > 0) & (spans <= NEGLIGIBLE * width)
+    spans = np.where(inactive & (max_curv == 0), width, np.where(width > 0, np.minimum(spans, width), spans))
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     spans = take_largest_variable_component(spans, phase.controls)
-    cost = np.fmax(steepest * spans, most * spans**2)
+    cost = np.fmax(max_slope * spans, max_curv * spans**2)
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
-    equal = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    inactive = replace_tiny_by_one(np.fmax(equal, size))
-    inactive = np.where(extent > INACTIVE_RANGE_RATIO * inactive, inactive, extent)
-    equal = np.where(idle, inactive, equal)
-    spans = np.where(spans > NEGLIGIBLE * equal, spans, equal)
+    by_cost = np.sqrt(np.divide(largest, max_curv, out=np.zeros_like(max_curv), where=max_curv > 0))
+    inactive_scale = replace_tiny_by_one(np.fmax(by_cost, size))
+    inactive_scale = np.where(width > INACTIVE_RANGE_RATIO * inactive_scale, inactive_scale, width)
+    by_cost = np.where(inactive, inactive_scale, by_cost)
+    spans = np.where(spans > NEGLIGIBLE * by_cost, spans, by_cost)
     spans = take_largest_variable_component(spans, phase.controls)
-    itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
-    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
-    unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = take_largest_variable_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
-    spans = np.where(spans > ROUNDING, spans, extent)
+    fallback = np.where(size > EQUAL * required, np.minimum(size, required), required)
+    unmoved = (width == 0) & (np.fmax(variation, by_slope) <= NEGLIGIBLE * fallback)
+    unmoved &= spans <= np.fmax(NEGLIGIBLE * fallback, SPAN_MIN_SHARE * size)
+    spans = np.where(unmoved, np.fmax(fallback, spans), spans)
+    spans = take_largest_variable_component(spans, phase.controls)
+    spans = np.where(spans > ROUNDING, spans, width)
     return _replace_zeros(spans, replace_tiny_by_one(size))
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = compute_interval_midpoints(phase.breaks), phase.x(phase.sample_times())
-    moved = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[
+    motion = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[
         :, None
     ]
     x, u = phase.x(middles), phase.applied(middles)
     by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
-    lasts = phase.breaks[-1] - phase.breaks[0]
-    asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
-    least = np.min(asked, axis=0, initial=np.inf)
-    least = set_nonfinite_to_zero(least)
-    for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
-        by = least[i] * (np.arange(least.size) == i)[:, None]
-        before, after = (functions.state_rates(middles, x, v) for v in (u, u + by))
+    span = phase.breaks[-1] - phase.breaks[0]
+    needed = np.divide(motion, span * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
+    smallest = np.min(needed, axis=0, initial=np.inf)
+    smallest = set_nonfinite_to_zero(smallest)
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * smallest):
+        step = smallest[i] * (np.arange(smallest.size) == i)[:, None]
+        before, after = (functions.state_rates(middles, x, v) for v in (u, u + step))
         changed = np.max(np.abs(after - before), axis=1)
-        if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
-            least[i] = 0.0
+        if np.all(changed <= NEGLIGIBLE * by_control[:, i] * smallest[i]):
+            smallest[i] = 0.0
     for vector in phase.vector_controls:
-        place = phase.controls.slice(vector.direction)  # directions of length 1 have no larger scale
-        least[place] = np.minimum(least[place], 1.0)
-    return np.asarray(least)
+        rows = phase.controls.slice(vector.direction)  # directions of length 1 have no larger scale
+        smallest[rows] = np.minimum(smallest[rows], 1.0)
+    return np.asarray(smallest)
 
 
-def _estimate_controllable_changes(phase: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _estimate_controllable_changes(phase: PhaseSolution, functions: PhaseFunctions, scales: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
     middles = compute_interval_midpoints(phase.breaks)
     x, u = phase.x(middles), phase.applied(middles)
@@ -169,14 +175,14 @@ def _estimate_controllable_changes(phase: PhaseSolution, functions: PhaseFunctio
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     times = phase.sample_times()
-    lasts, control = phase.breaks[-1] - phase.breaks[0], phase.applied(times)
-    mean = scipy.integrate.trapezoid(control, times, axis=1) / lasts
-    deviation = scipy.integrate.trapezoid(np.abs(control - mean[:, None]), times, axis=1) / lasts
-    direct = lasts * by_control @ np.where(deviation > NEGLIGIBLE * used, deviation, used)
-    movable = np.maximum(direct, lasts * by_state @ direct)
-    for _ in range(movable.size):  # states further down a chain
-        movable = np.where(movable > 0, movable, lasts * by_state @ movable)
-    return np.asarray(movable)
+    span, control = phase.breaks[-1] - phase.breaks[0], phase.applied(times)
+    mean = scipy.integrate.trapezoid(control, times, axis=1) / span
+    deviation = scipy.integrate.trapezoid(np.abs(control - mean[:, None]), times, axis=1) / span
+    direct = span * by_control @ np.where(deviation > NEGLIGIBLE * scales, deviation, scales)
+    changes = np.maximum(direct, span * by_state @ direct)
+    for _ in range(changes.size):  # states further down a chain
+        changes = np.where(changes > 0, changes, span * by_state @ changes)
+    return np.asarray(changes)
 
 
 def take_largest_variable_component(values: Array, layout: Layout) -> Array:

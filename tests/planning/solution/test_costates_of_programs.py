@@ -103,10 +103,10 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> PhaseCostates:
         "end": 30.0 + 10 * np.arange(segments)[None, :],
         "densities": np.zeros((1, size)),
         "impulses": np.zeros((1, segments + 1)),
-        "pull": np.zeros((1, size)),
-        "held": np.ones((1, segments), dtype=bool),
-        "still": np.zeros((1, segments), dtype=bool),
-        "pushed": np.ones((1, size), dtype=bool),
+        "decay": np.zeros((1, size)),
+        "active": np.ones((1, segments), dtype=bool),
+        "steady": np.zeros((1, segments), dtype=bool),
+        "nonzero": np.ones((1, size), dtype=bool),
         "bounded": np.ones((1, size), dtype=bool),
     }
     return PhaseCostates(**(values | changes))
@@ -116,7 +116,7 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
     """From the start with -pull for a rate where nothing holds; through the points where something does."""
     breaks = np.array([1.0, 2.0, 4.0])
     for scheme in ("LGR", "LGL"):
-        found = pieces(scheme, pull=np.array([[2.0] * 3 + [3.0] * 3]), held=np.array([[False, False]]))
+        found = pieces(scheme, decay=np.array([[2.0] * 3 + [3.0] * 3]), active=np.array([[False, False]]))
         curve = found.build_costate_polynomial(breaks)
         t = np.array([1.0, 1.3, 1.9])
         assert curve(t)[0] == pytest.approx(10 - 2 * (t - 1))
@@ -167,10 +167,10 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
         )
 
     usual, other = found(1.0, 1.0), found(unit, second)
-    assert np.sum(usual.pushed) > 0 and 0 < np.sum(usual.bounded) < usual.bounded.size
-    np.testing.assert_array_equal(other.pushed, usual.pushed)
+    assert np.sum(usual.nonzero) > 0 and 0 < np.sum(usual.bounded) < usual.bounded.size
+    np.testing.assert_array_equal(other.nonzero, usual.nonzero)
     np.testing.assert_array_equal(other.bounded, usual.bounded)
-    np.testing.assert_array_equal(other.held, usual.held)
+    np.testing.assert_array_equal(other.active, usual.active)
 
 
 def two_phases() -> go.Problem:
@@ -322,8 +322,8 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         return PhaseCostates.from_multipliers(part, numbers, weights, gradient, push)
 
     together = settled(whole, NlpIterate(x, lam_x, lam_g), gradient, push)
-    assert together.still[0, 0] and not together.still[0].all() and not together.still[1:].any()
-    assert 0 < together.held.sum() < together.held.size and 0 < together.bounded.sum() < together.bounded.size
+    assert together.steady[0, 0] and not together.steady[0].all() and not together.steady[1:].any()
+    assert 0 < np.mean(together.active) < 1 and 0 < np.mean(together.bounded) < 1
     single = collocation(scheme, mesh, 1)
     for i in range(count):
         own = [np.zeros(single.n_variables), np.zeros(single.n_variables), np.zeros(single.n_rows)]
@@ -335,16 +335,16 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
             vector[single.point_states[0]] = given[states[i]]
         alone = settled(single, NlpIterate(*own), gradient[[i]], push[[i]])
         for name in (
-            "held",
-            "still",
-            "pushed",
+            "active",
+            "steady",
+            "nonzero",
             "bounded",
             "lam",
             "start",
             "end",
             "densities",
             "impulses",
-            "pull",
+            "decay",
         ):
             assert getattr(together, name)[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9), name
         t = np.linspace(0.0, 5.0, 31)
