@@ -72,9 +72,9 @@ class StateConstraints:
         return stack_intervals([self.samples.phase.path_bounds, self.samples.phase.state_bounds])
 
     def list_finite_limits(self, row: int) -> list[tuple[ArcKind, float]]:
-        box = self.constraint_row_bounds
-        both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
-        return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
+        bounds = self.constraint_row_bounds
+        limits = (ArcKind.LOWER, float(bounds.lower[row])), (ArcKind.UPPER, float(bounds.upper[row]))
+        return [(kind, limit) for kind, limit in limits if np.isfinite(limit)]
 
     @property
     def row_scales(self) -> Array:
@@ -83,8 +83,8 @@ class StateConstraints:
 
     def get_order_of_constraint_contact(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
-        box = self.constraint_row_bounds
-        if not box.lower[row] < box.upper[row] or not self.list_finite_limits(row):
+        bounds = self.constraint_row_bounds
+        if not bounds.lower[row] < bounds.upper[row] or not self.list_finite_limits(row):
             return 0
         return self.get_constraint_order(row).order or 0
 
@@ -94,21 +94,21 @@ class StateConstraints:
         They are sorted by their smallest effect on the first derivative with controls.
         """
         controls = self.get_constraint_order(row).controls
-        found = {c: self._differentiate_constraint_by_control(row, c) for c in controls}
-        order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
-        signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
-        return tuple((c, signs[c]) for c in order)
+        effects = {c: self._differentiate_constraint_by_control(row, c) for c in controls}
+        ranked = sorted(effects, key=lambda c: float(np.min(np.abs(effects[c]))), reverse=True)
+        signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in effects.items()}
+        return tuple((c, signs[c]) for c in ranked)
 
     def _differentiate_constraint_by_control(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
         s, order = self.samples, self.get_order_of_constraint_contact(row)
         values = self.evaluate_constraints(s.times, s.x, s.u)[row]
-        distance = np.min([np.abs(values - at) for _, at in self.list_finite_limits(row)], axis=0)
-        near = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
-        times, x, u = s.times[near], s.x[:, near], s.u[:, near]
-        moved = u.copy()
-        moved[control] += SMALL * s.control_scale[control]
-        before, after = (self.evaluate_time_derivative(row, order, times, x, v) for v in (u, moved))
+        distance = np.min([np.abs(values - limit) for _, limit in self.list_finite_limits(row)], axis=0)
+        nearest = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
+        times, x, u = s.times[nearest], s.x[:, nearest], s.u[:, nearest]
+        varied = u.copy()
+        varied[control] += SMALL * s.control_scale[control]
+        before, after = (self.evaluate_time_derivative(row, order, times, x, v) for v in (u, varied))
         return after - before
 
     def get_constraint_order(self, row: int) -> ConstraintOrder:
@@ -153,19 +153,19 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
     ``free`` (m, n_samples) are the interior controls, ``unit`` (m,) are unit steps in each control.
     """
     rows, axes = _evaluate_constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
-    bases = [axes[:, here] for here in free.T]
+    bases = [axes[:, samples] for samples in free.T]
     if not rows.size:
         return bases
     for pattern in np.unique(free, axis=1).T:
-        here = np.flatnonzero(np.all(free == pattern[:, None], axis=0))
-        taken = np.moveaxis(rows[:, pattern][:, :, here], 2, 0)
-        size = np.max(np.abs(taken), axis=2, keepdims=True, initial=0.0)
-        bound = np.any(size > 0, axis=(1, 2)) & np.all(np.isfinite(taken), axis=(1, 2))
-        if not np.any(bound):
+        samples = np.flatnonzero(np.all(free == pattern[:, None], axis=0))
+        gradients = np.moveaxis(rows[:, pattern][:, :, samples], 2, 0)
+        largest = np.max(np.abs(gradients), axis=2, keepdims=True, initial=0.0)
+        limited = np.any(largest > 0, axis=(1, 2)) & np.all(np.isfinite(gradients), axis=(1, 2))
+        if not np.any(limited):
             continue
-        _, sizes, across = np.linalg.svd(taken[bound] / replace_zeros_by_one(size[bound]))
+        _, sizes, vectors = np.linalg.svd(gradients[limited] / replace_zeros_by_one(largest[limited]))
         ranks = np.sum(sizes > RANK * sizes[:, :1], axis=1)
-        for j, rank, directions in zip(here[bound], ranks, across, strict=True):
+        for j, rank, directions in zip(samples[limited], ranks, vectors, strict=True):
             bases[j] = axes[:, pattern] @ directions[rank:].T
     return bases
 
@@ -179,52 +179,52 @@ def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float
     if not _evaluate_constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
     bases = compute_free_control_directions(s, free, unit)
-    whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
+    is_unconstrained = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
-    for j in np.flatnonzero(~whole):
+    for j in np.flatnonzero(~is_unconstrained):
         bases[j] = _select_zero_curvature_directions(bases[j], hessian[:, :, j], flat)
-    return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
+    return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), is_unconstrained
 
 
-def _select_zero_curvature_directions(basis: Array, hessian: Array, flat: float) -> Array:
+def _select_zero_curvature_directions(basis: Array, hessian: Array, tolerance: float) -> Array:
     """Return the directions of a basis in which a quadratic form is flat or not finite."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):
         return basis
-    values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
-    return np.asarray(basis @ vectors[:, np.abs(values) <= flat])
+    curvatures, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+    return np.asarray(basis @ vectors[:, np.abs(curvatures) <= tolerance])
 
 
 @lru_cache(maxsize=8)  # several conditions of a verdict need them
 def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
     phase = s.phase
-    found = [np.zeros((0, phase.controls.size, s.times.size))]
+    gradients = [np.zeros((0, phase.controls.size, s.times.size))]
     if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         varies = s.path_scale > STILL_STATE_SHARE * s.path_constraint_variations
         scale = np.where(varies, s.path_scale, s.path_constraint_variations)
         paths = s.functions.path_constraints(s.times, s.x, s.u)
-        near = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
-        found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
+        at_path_limit = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
+        gradients.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * at_path_limit[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
-    on_state = np.logical_or(*phase.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
-    on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
-    on_path = np.zeros((len(phase.path_labels), s.times.size), dtype=bool)
+    state_rows = np.logical_or(*phase.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
+    state_rows &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
+    path_rows = np.zeros((len(phase.path_labels), s.times.size), dtype=bool)
     if s.pure_state_constraints.size:
-        pushes = np.abs(s.mu) * s.path_scale[:, None] > density
-        on_path[s.pure_state_constraints] = (near & pushes)[s.pure_state_constraints]
-    along = np.vstack([on_state, on_path])
+        has_multiplier = np.abs(s.mu) * s.path_scale[:, None] > density
+        path_rows[s.pure_state_constraints] = (at_path_limit & has_multiplier)[s.pure_state_constraints]
+    active = np.vstack([state_rows, path_rows])
     # A limit reached at a single sample is touched: its derivatives need not vanish there.
-    beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
-    chosen = np.flatnonzero(np.any(beside, axis=1))
+    lasting = active & (np.roll(active, 1, axis=1) | np.roll(active, -1, axis=1))
+    chosen = np.flatnonzero(np.any(lasting, axis=1))
     if chosen.size:
-        gradients = _build_constraint_rate_gradient_function(s.functions, chosen)
+        gradient_function = _build_constraint_rate_gradient_function(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-        flat = evaluate_casadi_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
-        rows = flat.reshape(chosen.size, phase.controls.size, s.times.size)
-        found.append(rows * beside[chosen][:, None])
-    return np.concatenate(found)
+        values = evaluate_casadi_batch(gradient_function, s.times.size, s.times[None], s.x, s.u, numbers)
+        rows = values.reshape(chosen.size, phase.controls.size, s.times.size)
+        gradients.append(rows * lasting[chosen][:, None])
+    return np.concatenate(gradients)
 
 
 def _build_constraint_rate_gradient_function(functions: PhaseFunctions, chosen: Indices) -> Any:
@@ -234,8 +234,8 @@ def _build_constraint_rate_gradient_function(functions: PhaseFunctions, chosen: 
     numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]
     f = rates(t, x, u, lam, mu, *numbers)
     values = ca.vertcat(x, functions.functions["paths"](t, x, u, lam, mu, *numbers))
-    derived = (differentiate_until_controls_appear("", values[int(i)], t, x, u, f) for i in chosen)
-    gradients = [ca.densify(ca.jacobian(constraint.derivatives[-1], u)) for constraint in derived]
+    constraints = (differentiate_until_controls_appear("", values[int(i)], t, x, u, f) for i in chosen)
+    gradients = [ca.densify(ca.jacobian(constraint.derivatives[-1], u)) for constraint in constraints]
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
 
 
@@ -248,45 +248,49 @@ def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
-            rows, listed = StateConstraints(problem, s), solution.structure if with_arcs else ()
-            arcs = [found for arc in listed for found in _find_high_order_constraint_arcs(rows, arc)]
+            constraints, structure = StateConstraints(problem, s), solution.structure if with_arcs else ()
+            arcs = [
+                entry for arc in structure for entry in _find_high_order_constraint_arcs(constraints, arc)
+            ]
             ends = {(start.constraint, k) for start, last in arcs for k in (start.boundary, last)}
-            touches = [j for j in _find_touch_points(rows) if (j.constraint, j.boundary) not in ends]
+            touches = [j for j in _find_touch_points(constraints) if (j.constraint, j.boundary) not in ends]
             if touches or arcs:
-                problem = _constrain_touch_points_and_arcs(rows, touches, arcs)
+                problem = _constrain_touch_points_and_arcs(constraints, touches, arcs)
     return problem
 
 
-def _find_high_order_constraint_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
+def _find_high_order_constraint_arcs(constraints: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
     """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
-    phase = rows.samples.phase
+    phase = constraints.samples.phase
     labels = (*phase.path_labels, *phase.states.labels)
     if arc.phase != phase.name or arc.channel not in labels or not arc.kind.is_at_limit:
         return []
     row = labels.index(arc.channel)
-    order = rows.get_constraint_order(row).order or 0
+    order = constraints.get_constraint_order(row).order or 0
     first, last = (int(np.argmin(np.abs(phase.breaks - t))) for t in (arc.start, arc.end))
     return [(Junction(row, first, arc.kind, order), last)] if order >= 2 and first != last else []
 
 
 def _constrain_touch_points_and_arcs(
-    rows: StateConstraints, touches: list[Junction], arcs: list[tuple[Junction, int]]
+    constraints: StateConstraints, touches: list[Junction], arcs: list[tuple[Junction, int]]
 ) -> Problem:
-    s, phase, n_paths = rows.samples, rows.samples.phase, len(rows.samples.phase.path_labels)
-    kinds = np.full((rows.n_rows, phase.mesh.segments), ArcKind.INTERIOR, dtype=object)
-    along = np.any(rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u)), axis=0)
+    s = constraints.samples
+    phase, n_paths = s.phase, len(s.phase.path_labels)
+    kinds = np.full((constraints.n_rows, phase.mesh.segments), ArcKind.INTERIOR, dtype=object)
+    values = constraints.evaluate_constraints(s.times, s.x, s.u)
+    is_active = np.any(constraints.is_near_limits(values), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
-            if not np.all(along[junction.constraint, s.segments == k]):  # no arc begins or ends there
+            if not np.all(is_active[junction.constraint, s.segments == k]):  # no arc begins or ends there
                 kinds[junction.constraint, k] = ArcKind.RELEASED
-    for start, last in arcs:
-        row, first = start.constraint, start.boundary
-        kinds[row, first:last] = start.kind
+    for entry, last in arcs:
+        row, first = entry.constraint, entry.boundary
+        kinds[row, first:last] = entry.kind
         for k in (first - 1, last):  # the segments at its ends contain all active rows next to it
             if 0 <= k < phase.mesh.segments and kinds[row, k] is ArcKind.INTERIOR:
                 kinds[row, k] = ArcKind.RELEASED
-    entries = tuple(start for start, _ in arcs if start.boundary > 0)
-    return rows.problem.with_fixed_arcs(
+    entries = tuple(entry for entry, _ in arcs if entry.boundary > 0)
+    return constraints.problem.with_fixed_arcs(
         phase.name,
         arcs=np.zeros((phase.controls.size, phase.mesh.segments), dtype=int),
         paths=kinds[:n_paths] if n_paths else None,
@@ -295,14 +299,15 @@ def _constrain_touch_points_and_arcs(
     )
 
 
-def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
+def _find_active_constraints(constraints: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
     """Return which constraints are active, and which have multipliers, at lower and upper limits (2, n_rows, n)."""
-    s = rows.samples
+    s = constraints.samples
     times = s.phase.breaks[list(boundaries)]
     point = times, s.phase.x(times), s.phase.applied(times)
-    near, pushes = rows.is_near_limits(rows.evaluate_constraints(*point)), rows.compute_costate_jumps(*point)
-    pushing = near & (np.stack([-pushes, pushes]) > ACTIVE * s.cost_scale)
-    return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
+    at_limit = constraints.is_near_limits(constraints.evaluate_constraints(*point))
+    jumps = constraints.compute_costate_jumps(*point)
+    has_multiplier = at_limit & (np.stack([-jumps, jumps]) > ACTIVE * s.cost_scale)
+    return np.array(at_limit, dtype=bool), np.array(has_multiplier, dtype=bool)
 
 
 def free_touch_point_times(solution: Solution) -> Solution:
@@ -315,56 +320,61 @@ def free_touch_point_times(solution: Solution) -> Solution:
         mesh = s.phase.mesh
         if mesh.segments < 3:
             continue
-        rows = StateConstraints(solution.need_problem("linearise"), s)
-        near, pushing = _find_active_constraints(rows, range(1, mesh.segments))
-        near = np.pad(near, ((0, 0), (0, 0), (1, 1)))
-        alone = pushing & ~near[:, :, :-2] & ~near[:, :, 2:]
-        touched = 1 + np.flatnonzero(np.any(alone, axis=(0, 1)))
-        movable = tuple({*mesh.movable, *map(int, touched)})
+        constraints = StateConstraints(solution.need_problem("linearise"), s)
+        at_limit, has_multiplier = _find_active_constraints(constraints, range(1, mesh.segments))
+        at_limit = np.pad(at_limit, ((0, 0), (0, 0), (1, 1)))
+        is_isolated = has_multiplier & ~at_limit[:, :, :-2] & ~at_limit[:, :, 2:]
+        touch_breaks = 1 + np.flatnonzero(np.any(is_isolated, axis=(0, 1)))
+        movable = tuple({*mesh.movable, *map(int, touch_breaks)})
         phases[name] = replace(s.phase, mesh=Mesh(mesh.breaks, mesh.degrees, movable))
     return replace(solution, phases=phases)
 
 
-def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_touch_points(constraints: StateConstraints) -> tuple[Junction, ...]:
     """Return the touch points at movable breaks, with multipliers, and exchanges of limits."""
-    boundaries, found = rows.samples.phase.mesh.movable, []
+    boundaries, touches = constraints.samples.phase.mesh.movable, []
     if not boundaries:
         return ()
-    pushing = _find_active_constraints(rows, boundaries)[1]
-    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), pushing, strict=True):
-        for row, k in np.argwhere(here):
-            if (rows.get_constraint_order(int(row)).order or 0) >= 2:
-                found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_limit_exchanges(rows)
+    has_multiplier = _find_active_constraints(constraints, boundaries)[1]
+    for kind, at_limit in zip((ArcKind.LOWER, ArcKind.UPPER), has_multiplier, strict=True):
+        for row, k in np.argwhere(at_limit):
+            if (constraints.get_constraint_order(int(row)).order or 0) >= 2:
+                touches.append(Junction(int(row), boundaries[k], kind, 2))
+    return tuple(touches) + _find_limit_exchanges(constraints)
 
 
-def _find_limit_exchanges(rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_limit_exchanges(constraints: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
-    s, phase = rows.samples, rows.samples.phase
-    orders = [rows.get_constraint_order(i) for i in range(len(phase.path_labels))]
-    owners = [order.controls if order.order == 0 else () for order in orders]
-    paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
+    s, phase = constraints.samples, constraints.samples.phase
+    orders = [constraints.get_constraint_order(i) for i in range(len(phase.path_labels))]
+    controls = [order.controls if order.order == 0 else () for order in orders]
+    paths = [row for row, single in enumerate(controls) if len(single) == 1]
     if not paths:
         return ()
-    at_path = rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u))
+    at_path = constraints.is_near_limits(constraints.evaluate_constraints(s.times, s.x, s.u))
     at_bound = np.any(s.is_at_control_bounds, axis=0)
-    found: dict[int, Junction] = {}
+    exchanges: dict[int, Junction] = {}
     for row in paths:
-        others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]
-        limits = [at_bound[owners[row][0]], *others]
-        for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
+        others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and controls[i] == controls[row]]
+        limits = [at_bound[controls[row][0]], *others]
+        for kind, at_limit in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in phase.mesh.movable:
-                if side := _find_side_of_other_limit(s, near, limits, k):
-                    found.setdefault(k, Junction(row, k, kind, 0, side))
-    return tuple(found.values())
+                if side := _find_side_of_other_limit(s, at_limit, limits, k):
+                    exchanges.setdefault(k, Junction(row, k, kind, 0, side))
+    return tuple(exchanges.values())
 
 
 def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
-        meets = np.flatnonzero(off)[-1 if side < 0 else 0]
-        if near[meets] and np.all(near[on]) and not np.all(near[off]) and any(np.all(o[off]) for o in others):
+        contact = np.flatnonzero(off)[-1 if side < 0 else 0]
+        if (
+            near[contact]
+            and np.all(near[on])
+            and not np.all(near[off])
+            and any(np.all(o[off]) for o in others)
+        ):
             return side
     return 0
 
@@ -386,14 +396,14 @@ class PureStateConstraints:
         cls, s: PhaseSamples, limits: Interval, times: Array, x: Array, u: Array
     ) -> PureStateConstraints:
         """Evaluate limits of the states and pure state path constraints."""
-        phase, pure = s.phase, s.pure_state_constraints
+        phase, rows = s.phase, s.pure_state_constraints
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
-        outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
-        box = stack_intervals([limits, phase.path_bounds.select_components(pure)])
-        scales = np.concatenate([s.state_scale, s.path_scale[pure]])
-        values = np.vstack([x, s.functions.path_constraints(times, x, u)[pure]])
-        at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
+        outward, drift = np.hstack([units, by_state[:, rows]]), np.vstack([np.zeros_like(x), by_time[rows]])
+        bounds = stack_intervals([limits, phase.path_bounds.select_components(rows)])
+        scales = np.concatenate([s.state_scale, s.path_scale[rows]])
+        values = np.vstack([x, s.functions.path_constraints(times, x, u)[rows]])
+        at_lower, at_upper = bounds.is_near_limits(values, AT_LIMIT * scales)
         directions = np.concatenate([outward, -outward], axis=1)
         return cls(directions, np.vstack([drift, -drift]), np.vstack([at_upper, at_lower]))
 
@@ -406,23 +416,23 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """
     breaks = s.phase.breaks[1:-1]
     jumps = s.phase.lam(breaks, "left") - s.phase.lam(breaks, "right")
-    at = breaks, s.phase.x(breaks), s.phase.applied(breaks)
-    pushers = PureStateConstraints.from_states(s, s.phase.state_bounds, *at)
-    rest, every = jumps.copy(), np.zeros(pushers.active.shape)
+    arguments = breaks, s.phase.x(breaks), s.phase.applied(breaks)
+    constraints = PureStateConstraints.from_states(s, s.phase.state_bounds, *arguments)
+    unexplained, multipliers = jumps.copy(), np.zeros(constraints.active.shape)
     densities = [s.phase.state_multipliers, s.phase.path_multipliers[s.pure_state_constraints]]
-    beside = integrate_multipliers_near_boundaries(s, np.vstack(densities))
-    scale, spare = s.state_scale, np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
-    for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
-        directions = pushers.directions[:, pushers.active[:, k], k]
-        least = -spare[pushers.active[:, k], k]
-        left = (jumps[:, k] - directions @ least) * scale
-        sizes, _ = scipy.optimize.nnls(directions * scale[:, None], left)
-        every[pushers.active[:, k], k] = sizes + least
-        rest[:, k] -= directions @ (sizes + least)
-    upper, lower = np.split(every, 2)
+    nearby = integrate_multipliers_near_boundaries(s, np.vstack(densities))
+    scale, available = s.state_scale, np.vstack([np.maximum(nearby, 0.0), np.maximum(-nearby, 0.0)])
+    for k in np.flatnonzero(np.any(constraints.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
+        directions = constraints.directions[:, constraints.active[:, k], k]
+        smallest = -available[constraints.active[:, k], k]
+        remainder = (jumps[:, k] - directions @ smallest) * scale
+        excess, _ = scipy.optimize.nnls(directions * scale[:, None], remainder)
+        multipliers[constraints.active[:, k], k] = excess + smallest
+        unexplained[:, k] -= directions @ (excess + smallest)
+    upper, lower = np.split(multipliers, 2)
     atoms = np.zeros((len(s.phase.path_labels), breaks.size))
     atoms[s.pure_state_constraints] = (upper - lower)[s.phase.states.size :]
-    return rest, atoms
+    return unexplained, atoms
 
 
 @dataclass(frozen=True)
@@ -441,31 +451,31 @@ class TransversalityResidual:
     limits: Interval
 
 
-def explain_transversality_residual(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
-    """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
+def explain_transversality_residual(s: PhaseSamples, end: int, ends: EndGradients) -> TransversalityResidual:
+    """Explain the costate gap at the start (``end`` = 0) or end (-1) of a phase by active constraints and limits."""
     phase, name, pure, n = s.phase, s.phase.name, s.pure_state_constraints, s.phase.states.size
-    given = phase.final_bounds if at else phase.initial_bounds
-    limits = intersect_bounds(given, phase.state_bounds)
-    gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
-    pushers = PureStateConstraints.from_states(s, limits, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-    active = np.flatnonzero(pushers.active[:, 0])
-    directions, sizes = pushers.directions[:, active, 0], np.zeros(active.size)
+    end_bounds = phase.final_bounds if end else phase.initial_bounds
+    limits = intersect_bounds(end_bounds, phase.state_bounds)
+    gap = s.lam[:, -1] - ends.final_state[name] if end else -(s.lam[:, 0] + ends.initial_state[name])
+    constraints = PureStateConstraints.from_states(s, limits, s.times[[end]], s.x[:, [end]], s.u[:, [end]])
+    active = np.flatnonzero(constraints.active[:, 0])
+    directions, sizes = constraints.directions[:, active, 0], np.zeros(active.size)
     if active.size and np.all(np.isfinite(gap)):
         sizes = scipy.optimize.nnls(directions * s.state_scale[:, None], gap * s.state_scale)[0]
-    of_paths = np.where(active % (n + pure.size) >= n, sizes, 0.0)
-    every, multipliers = np.zeros(pushers.active.shape[0]), np.zeros(len(phase.path_labels))
-    every[active] = of_paths
-    upper, lower = np.split(every, 2)
+    path_multipliers = np.where(active % (n + pure.size) >= n, sizes, 0.0)
+    all_multipliers, multipliers = np.zeros(constraints.active.shape[0]), np.zeros(len(phase.path_labels))
+    all_multipliers[active] = path_multipliers
+    upper, lower = np.split(all_multipliers, 2)
     multipliers[pure] = (upper - lower)[n:]
-    drift = float(pushers.drifts[active, 0] @ of_paths)
-    return TransversalityResidual(gap, multipliers, directions @ of_paths, drift, limits)
+    drift = float(constraints.drifts[active, 0] @ path_multipliers)
+    return TransversalityResidual(gap, multipliers, directions @ path_multipliers, drift, limits)
 
 
 def integrate_multipliers_near_boundaries(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
     offsets = np.array(s.phase.mesh.point_offsets[1:-1], dtype=int)
-    near = 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
-    widths = np.minimum(np.diff(s.phase.breaks), near)
+    half_interval = 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
+    widths = np.minimum(np.diff(s.phase.breaks), half_interval)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)
     return np.asarray(np.where(upper > -lower, upper, lower))

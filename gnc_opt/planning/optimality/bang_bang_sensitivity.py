@@ -81,9 +81,9 @@ class BangBangFlow:
     def compute_adjoint_gradient(self, adjoint: Array) -> Array:
         """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
         adjoints, n_times = self._compute_cost_gradients_by_step(adjoint), self._widths.shape[1]
-        found = adjoints[:-1, 0] @ self.initial_sensitivity
-        found[:n_times] += adjoints[-1, :-1] @ self._widths
-        return np.asarray(found)
+        gradient = adjoints[:-1, 0] @ self.initial_sensitivity
+        gradient[:n_times] += adjoints[-1, :-1] @ self._widths
+        return np.asarray(gradient)
 
     def compute_adjoint_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
@@ -100,9 +100,9 @@ class BangBangFlow:
         """Return cost gradients in the states before every step and (last row) step lengths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:
-            places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
-            swept = iterate_discrete_time_map(self._rates.back, np.append(adjoint, 0.0), places)
-            self._swept[key] = swept[:, ::-1]
+            arguments = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
+            gradients = iterate_discrete_time_map(self._rates.back, np.append(adjoint, 0.0), arguments)
+            self._swept[key] = gradients[:, ::-1]
         return self._swept[key]
 
     @cached_property
@@ -156,12 +156,12 @@ def _build_integrator_step_arguments(
     """Return the inputs of all steps (n_inputs, n_steps), and derivatives of their lengths (n_steps, n_times)."""
     widths = np.diff(pieces.times)
     counts = refinement * np.maximum(1, np.rint(steps * widths / np.sum(widths)).astype(int))
-    every = np.arange(widths.size).repeat(counts)
-    parameters = np.tile(s.functions.p[:, None], every.size)
+    piece = np.arange(widths.size).repeat(counts)
+    parameters = np.tile(s.functions.p[:, None], piece.size)
     changes = np.zeros((widths.size, n_times))
     changes[np.arange(widths.size), pieces.unknowns[:-1]] = -1 / counts
     changes[np.arange(widths.size), pieces.unknowns[1:]] += 1 / counts
-    return np.vstack([(widths / counts)[every], pieces.controls[:, every], parameters]), changes[every]
+    return np.vstack([(widths / counts)[piece], pieces.controls[:, piece], parameters]), changes[piece]
 
 
 class _StepFunctions:
@@ -185,8 +185,8 @@ class _StepFunctions:
         def evaluate_augmented_state_rate(z: Any) -> Any:
             x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
             unused = (np.zeros(n), np.zeros(len(s.phase.path_labels)), np.zeros(n_integrals))
-            here = (t, x, control, *unused, p, q)
-            return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
+            arguments = (t, x, control, *unused, p, q)
+            return ca.vertcat(rates(*arguments), integrands(*arguments), 1, np.zeros(n_q))
 
         rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_state_rate(state))])
         places: list[Any] = []
@@ -204,12 +204,12 @@ class _StepFunctions:
         cost_gradient = ca.SX.sym("cost_gradient", state.shape[0] + 1)
         before = ca.jtimes(after, ca.vertcat(state, width), cost_gradient[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
-        both, every = [state, inputs], [state, inputs, weights]
-        self.step = ca.Function("step", both, [ca.densify(after)])
+        step_arguments, weighted_arguments = [state, inputs], [state, inputs, weights]
+        self.step = ca.Function("step", step_arguments, [ca.densify(after)])
         self.back = ca.Function("back", [cost_gradient, ca.vertcat(state, inputs)], [ca.densify(before)])
-        self.stages = ca.Function("stages", both, [ca.densify(ca.vertcat(*places, *slopes))])
-        self.jacobian = ca.Function("rate_jacobian", both, [ca.jacobian(slopes[0], state).T])
-        self.hessian = ca.Function("rate_hessian", every, [hessian])
+        self.stages = ca.Function("stages", step_arguments, [ca.densify(ca.vertcat(*places, *slopes))])
+        self.jacobian = ca.Function("rate_jacobian", step_arguments, [ca.jacobian(slopes[0], state).T])
+        self.hessian = ca.Function("rate_hessian", weighted_arguments, [hessian])
 
 
 def _get_butcher_tableau() -> tuple[Array, Array]:
@@ -224,29 +224,29 @@ class _StepDerivatives:
         stage_weights, step_weights = _get_butcher_tableau()
         (n, n_steps), n_stages = states.shape, len(step_weights)
         h = inputs[0][:, None, None]
-        found = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
-        places = found[0].transpose(1, 0, 2).reshape(n, -1)
-        slopes = found[1].transpose(0, 2, 1)
+        stages = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
+        places = stages[0].transpose(1, 0, 2).reshape(n, -1)
+        slopes = stages[1].transpose(0, 2, 1)
         count, repeated = n_stages * n_steps, np.tile(inputs, n_stages)
         slope_jacobians = evaluate_casadi_batch(rates.jacobian, count, places, repeated).T
         slope_jacobians = slope_jacobians.reshape(n_stages, n_steps, n, n)
-        moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
+        d_places, d_slopes = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
         def sum_runge_kutta_stage_jacobians(shares: Array, into: Array) -> Array:
             """Return the derivatives of z + h * sum of share * k_i over the first stages."""
             used = np.flatnonzero(shares)
             into[:, :, :n] = np.eye(n)
-            into += h * np.tensordot(shares[used], change[used], 1)
+            into += h * np.tensordot(shares[used], d_slopes[used], 1)
             into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
             return into
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, shares in enumerate(stage_weights):
-                by_stage = sum_runge_kutta_stage_jacobians(shares, moved[i])
-                np.matmul(slope_jacobians[i], by_stage, out=change[i])
+                by_stage = sum_runge_kutta_stage_jacobians(shares, d_places[i])
+                np.matmul(slope_jacobians[i], by_stage, out=d_slopes[i])
             self.jacobians = sum_runge_kutta_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
         self._rates, self._inputs, self._places = rates, inputs, places
-        self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians
+        self._moved, self._change, self._slope_jacobians = d_places, d_slopes, slope_jacobians
 
     def compute_integration_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
@@ -261,10 +261,10 @@ class _StepDerivatives:
             for j in np.flatnonzero(stage_weights[i]):
                 cost_gradient[j] += stage_weights[i, j] * by_place
         weights = (h[:, None] * cost_gradient).transpose(2, 0, 1).reshape(n, -1)
-        at = self._places, np.tile(self._inputs, n_stages), weights
-        bent = evaluate_casadi_batch(self._rates.hessian, n_stages * n_steps, *at).T
-        bent = bent.reshape(n_stages, n_steps, n, n)
-        total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (bent @ self._moved), axis=0)
+        arguments = self._places, np.tile(self._inputs, n_stages), weights
+        rate_hessians = evaluate_casadi_batch(self._rates.hessian, n_stages * n_steps, *arguments).T
+        rate_hessians = rate_hessians.reshape(n_stages, n_steps, n, n)
+        total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (rate_hessians @ self._moved), axis=0)
         mixed = np.sum(cost_gradient[:, :, None] @ self._change, axis=0)[:, 0]
         total[:, -1] += mixed
         total[:, :, -1] += mixed

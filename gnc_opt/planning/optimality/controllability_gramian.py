@@ -63,11 +63,11 @@ class Ellipsoid:
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
         return cls(radius, axes, np.sqrt(np.clip(values, least, None)), reached)
 
-    def normalise_displacement(self, moved: Array) -> Array:
+    def normalise_displacement(self, shift: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
-        column = np.broadcast_to(_reshape_scale_for_time_series(self.radius, moved), np.shape(moved))
-        nothing = np.where(np.asarray(moved) == 0, 0.0, np.inf)  # 0/0 is 0
-        shares = np.divide(moved, column, out=nothing, where=column > 0)
+        column = np.broadcast_to(_reshape_scale_for_time_series(self.radius, shift), np.shape(shift))
+        unreached = np.where(np.asarray(shift) == 0, 0.0, np.inf)  # 0/0 is 0
+        shares = np.divide(shift, column, out=unreached, where=column > 0)
         parts = np.tensordot(self.axes.T, shares, 1)
         return np.asarray(np.linalg.norm(parts / _reshape_scale_for_time_series(self.shares, parts), axis=0))
 
@@ -111,14 +111,14 @@ def compute_control_gramians(
     columns: Mapping[str, Array],
 ) -> dict[str, _Gramian]:
     """Return the Gramian of every phase, in order of the initial times."""
-    found: dict[str, _Gramian] = {}
+    gramians: dict[str, _Gramian] = {}
     for s in samples:
-        others = {name: row for name, row in links[s.phase.name].items() if name}
-        start = _build_initial_gramian(s, others, links[s.phase.name][""], found)
-        found[s.phase.name] = _integrate_gramian(
+        earlier = {name: row for name, row in links[s.phase.name].items() if name}
+        start = _build_initial_gramian(s, earlier, links[s.phase.name][""], gramians)
+        gramians[s.phase.name] = _integrate_gramian(
             s, deviations[s.phase.name], start, columns.get(s.phase.name)
         )
-    return found
+    return gramians
 
 
 def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
@@ -126,43 +126,43 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))
     n, n_integrals = start.shape[0], phase.integrals.size
-    parts = -(-CELLS // phase.mesh.segments)
+    n_cells = -(-CELLS // phase.mesh.segments)
     widths, _, by_state, by_control, _ = linearise_dynamics(s)
     by_state = np.pad(by_state, ((0, 0), (0, 0), (0, n_integrals)))  # without influence of the integrals
     start = np.pad(start, (0, n_integrals))
     half = exponentiate_matrices(0.5 * widths[:, None, None] * by_state)
-    pushes = s.integrate_over_segments(deviation)
-    strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
-    moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
-    total, mean, lasts = start.copy(), np.zeros_like(start), float(phase.breaks[-1] - phase.breaks[0])
-    whole = total
+    impulses = s.integrate_over_segments(deviation)
+    strength = np.sum(impulses, axis=1)[:, None] * np.repeat(impulses / n_cells, n_cells, axis=1)
+    responses = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
+    total, mean, duration = start.copy(), np.zeros_like(start), float(phase.breaks[-1] - phase.breaks[0])
+    with_parameters = total
     for k, width in enumerate(widths):
         push = half[k] @ by_control[k]
         step = half[k] @ half[k]
-        following = step @ total @ step.T + (push * strength[:, k]) @ push.T
+        next_total = step @ total @ step.T + (push * strength[:, k]) @ push.T
         if columns is not None:
-            moved = step @ moved + width * half[k] @ columns[k]
-        if not np.all(np.isfinite(following)):
+            responses = step @ responses + width * half[k] @ columns[k]
+        if not np.all(np.isfinite(next_total)):
             break
-        total, before = following, whole
-        whole = total + moved @ moved.T
-        mean += 0.5 * width / lasts * (before + whole)
+        total, previous = next_total, with_parameters
+        with_parameters = total + responses @ responses.T
+        mean += 0.5 * width / duration * (previous + with_parameters)
     fastest = np.max(np.linalg.eigvals(by_state).real, axis=1, initial=0.0)
     decay = float(np.exp(-np.sum(fastest * widths)))
-    return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, decay)
+    return _Gramian(start[:n, :n], mean[:n, :n], with_parameters[:n, :n], with_parameters, decay)
 
 
 def differentiate_final_state_by_controls(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
     n, m = s.phase.states.size, s.phase.controls.size
     widths, times, by_state, by_control, _ = linearise_dynamics(s)
-    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state[:, :n]), np.eye(n)
-    found = np.zeros((n, m, widths.size))
+    halves, transition = exponentiate_matrices(0.5 * widths[:, None, None] * by_state[:, :n]), np.eye(n)
+    responses = np.zeros((n, m, widths.size))
     for k in reversed(range(widths.size)):
-        onwards = onwards @ halves[k]
-        found[:, :, k] = onwards @ by_control[k, :n]
-        onwards = onwards @ halves[k]
-    return times, found
+        transition = transition @ halves[k]
+        responses[:, :, k] = transition @ by_control[k, :n]
+        transition = transition @ halves[k]
+    return times, responses
 
 
 def linearise_dynamics(s: PhaseSamples) -> tuple[Array, Array, Array, Array, Array]:
@@ -183,9 +183,9 @@ def linearise_dynamics(s: PhaseSamples) -> tuple[Array, Array, Array, Array, Arr
         f.functions[key] = build_jacobian_function()
     x, u = s.phase.x(times), s.phase.applied(times)
     with np.errstate(all="ignore"):
-        flat = evaluate_casadi_batch(f.functions[key], times.size, times[None], x, u, f.p, f.q)
-    found = set_nonfinite_to_zero(flat.T.reshape(times.size, -1, len(x) + len(u) + f.q.size))
-    by_state, by_control, by_parameter = np.split(found, [len(x), len(x) + len(u)], axis=2)
+        values = evaluate_casadi_batch(f.functions[key], times.size, times[None], x, u, f.p, f.q)
+    jacobians = set_nonfinite_to_zero(values.T.reshape(times.size, -1, len(x) + len(u) + f.q.size))
+    by_state, by_control, by_parameter = np.split(jacobians, [len(x), len(x) + len(u)], axis=2)
     return np.diff(edges), times, by_state, by_control, by_parameter
 
 
@@ -206,21 +206,21 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
 
     ``typical`` (n,) are magnitudes of the states; displacements far below them are rounding errors.
     """
-    size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
+    size, motion = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     matrices = gramian.mean, gramian.end, gramian.start
-    along, end, start = (np.sqrt(np.maximum(np.diag(w), 0.0)) for w in matrices)
+    mean, end, start = (np.sqrt(np.maximum(np.diag(w), 0.0)) for w in matrices)
     if not s.has_duration:  # without motion, magnitudes are used
-        along = end = replace_tiny_by_one(size)
-    moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
-    radius = initial = np.where(moving, np.minimum(along, moved), along)
-    final = np.where(moving, np.minimum(end, moved), end)
+        mean = end = replace_tiny_by_one(size)
+    has_moved = (motion > STILL_STATE_SHARE * gramian.decay * mean) & (motion > SPAN_MIN_SHARE * size)
+    radius = initial = np.where(has_moved, np.minimum(mean, motion), mean)
+    final = np.where(has_moved, np.minimum(end, motion), end)
     if not s.has_fixed_duration:  # uncontrollable states vary with the arrival time
         radius, final = (
-            np.where(r > STILL_STATE_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final)
+            np.where(r > STILL_STATE_SHARE * motion, r, np.fmax(r, motion)) for r in (radius, final)
         )
-    least = np.fmax(SPAN_MIN_SHARE * size, EQUAL * typical)
-    radius, final = np.fmax(radius, least), np.fmax(final, least)
-    initial = np.where(start > 0, start, np.fmax(initial, least))
+    smallest = np.fmax(SPAN_MIN_SHARE * size, EQUAL * typical)
+    radius, final = np.fmax(radius, smallest), np.fmax(final, smallest)
+    initial = np.where(start > 0, start, np.fmax(initial, smallest))
     with_integrals = np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))
     return (
         Ellipsoid.from_gramian(gramian.start, initial),
@@ -231,16 +231,16 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
 
 
 def _build_initial_gramian(
-    s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
+    s: PhaseSamples, links: Mapping[str, Array], projection: Array, gramians: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
-    size, moved = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
-    size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
+    size, motion = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
+    size = np.where(motion > SPAN_MIN_SHARE * size, motion, size)
     size = np.where(size > 0, size, s.phase.state_bounds.interval_width_or_zero)
-    own = left * replace_zeros_by_one(size)
-    covariance = own @ own.T
+    free_part = projection * replace_zeros_by_one(size)
+    covariance = free_part @ free_part.T
     for name, response in links.items():
-        covariance = covariance + response @ found[name].end @ response.T
+        covariance = covariance + response @ gramians[name].end @ response.T
     return covariance
 
 
@@ -248,31 +248,31 @@ def differentiate_linked_initial_states(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
     """Return the derivatives of the start of each phase in the ends of earlier ones (n, n_other)."""
-    jacobians, found = evaluate_boundary_jacobians(problem, solution), {}
+    jacobians, links = evaluate_boundary_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
         phase = s.phase
         free = np.flatnonzero(~phase.initial_bounds.is_fixed)
         size = np.max(np.abs(set_nonfinite_to_zero(s.x)), axis=1)
         unit = replace_zeros_by_one(size)[free]
-        own = jacobians[phase.name][0][:, free] * unit
-        linked = np.any(own != 0, axis=1)
+        by_start = jacobians[phase.name][0][:, free] * unit
+        linked = np.any(by_start != 0, axis=1)
         earlier = [other.phase.name for other in samples[:k]]
         for name, (at_start, at_end) in jacobians.items():
             linked &= ~np.any(at_start != 0, axis=1) if name != phase.name else True
             linked &= ~np.any(at_end != 0, axis=1) if name not in earlier else True
-        others = [name for name in earlier if np.any(jacobians[name][1][linked])]
+        names = [name for name in earlier if np.any(jacobians[name][1][linked])]
         linked &= (
-            np.any([np.any(jacobians[name][1] != 0, axis=1) for name in others], axis=0) if others else False
+            np.any([np.any(jacobians[name][1] != 0, axis=1) for name in names], axis=0) if names else False
         )
-        inverse = np.linalg.pinv(own[linked], rcond=RANK)
-        left = np.zeros((phase.states.size, phase.states.size))
-        left[np.ix_(free, free)] = unit[:, None] * (np.eye(free.size) - inverse @ own[linked]) / unit
-        found[phase.name] = {"": left}
-        for name in others:
+        inverse = np.linalg.pinv(by_start[linked], rcond=RANK)
+        project = np.zeros((phase.states.size, phase.states.size))
+        project[np.ix_(free, free)] = unit[:, None] * (np.eye(free.size) - inverse @ by_start[linked]) / unit
+        links[phase.name] = {"": project}
+        for name in names:
             response = np.zeros((phase.states.size, solution.phases[name].states.size))
             response[free] = -unit[:, None] * (inverse @ jacobians[name][1][linked])
-            found[phase.name][name] = response
-    return found
+            links[phase.name][name] = response
+    return links
 
 
 def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
@@ -282,14 +282,14 @@ def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[st
         [np.zeros((1, len(solution.constraint_labels))), np.eye(len(solution.constraint_labels))]
     )
     rows = [evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nu) for nu in units]
-    found = {}
+    jacobians = {}
     for name in ends:
         gradients = (
             np.stack([getattr(row, end)[name] for row in rows]) for end in ("initial_state", "final_state")
         )
         at_start, at_end = (g[1:] - g[0] for g in gradients)
-        found[name] = at_start, at_end
-    return found
+        jacobians[name] = at_start, at_end
+    return jacobians
 
 
 def _reshape_scale_for_time_series(scale: Array, values: Array) -> Array:

@@ -39,13 +39,13 @@ def average_violation_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(rises, violation.shape) / (2 * half))
 
 
-def remove_short_intervals_from_mask(times: Array, here: Mask, share: float = MINOR) -> Mask:
+def remove_short_intervals_from_mask(times: Array, mask: Mask, share: float = MINOR) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
-    arcs = here.copy()
-    for row in arcs:
+    lasting = mask.copy()
+    for row in lasting:
         for first, end in find_true_value_intervals(row):
             row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
-    return arcs
+    return lasting
 
 
 def find_lasting_minimum_sample(times: Array, values: Array) -> int:
@@ -54,9 +54,9 @@ def find_lasting_minimum_sample(times: Array, values: Array) -> int:
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
     """
     length = MINOR * (times[-1] - times[0])
-    firsts = np.flatnonzero(times <= times[-1] - length)
-    ends = np.searchsorted(times, times[firsts] + length, "right")
-    peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]
+    starts = np.flatnonzero(times <= times[-1] - length)
+    ends = np.searchsorted(times, times[starts] + length, "right")
+    peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(starts, ends, strict=True)]
     return int(peaks[np.argmin(values[peaks])])
 
 
@@ -69,28 +69,28 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
     values = s.functions.integrands(s.times, s.x, s.u)
     if not values.shape[0]:
         return np.zeros(0)
-    above = values - np.min(values, axis=1, keepdims=True)
-    below = np.max(values, axis=1, keepdims=True) - values
-    spans = np.minimum(above @ s.weights, below @ s.weights)
+    above_minimum = values - np.min(values, axis=1, keepdims=True)
+    below_maximum = np.max(values, axis=1, keepdims=True) - values
+    spans = np.minimum(above_minimum @ s.weights, below_maximum @ s.weights)
     if not s.has_fixed_duration:
         spans = np.fmax(spans, np.abs(values) @ s.weights)
     for k, steps in enumerate((s.state_scale, s.control_span)):
-        for i, step in enumerate(steps):
-            for moved in (step, -step):
-                at = [s.x.copy(), s.u.copy()]
-                at[k][i] += moved
+        for i, scale in enumerate(steps):
+            for step in (scale, -scale):
+                arguments = [s.x.copy(), s.u.copy()]
+                arguments[k][i] += step
                 with np.errstate(invalid="ignore"):  # beyond the domain of an integrand
-                    change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
+                    change = np.abs(s.functions.integrands(s.times, *arguments) - values) @ s.weights
                 spans = np.fmax(spans, NOTABLE * set_nonfinite_to_zero(change))
     return set_nonfinite_to_zero(spans)
 
 
 def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
-    box = solution.need_problem("verify").get_parameter_bounds()
-    extent = box.upper - box.lower
-    size = replace_tiny_by_one(np.abs(solution.parameter_values))
-    return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
+    bounds = solution.need_problem("verify").get_parameter_bounds()
+    width = bounds.upper - bounds.lower
+    magnitude = replace_tiny_by_one(np.abs(solution.parameter_values))
+    return np.asarray(np.where(np.isfinite(width) & (width > 0), 0.1 * width, magnitude))
 
 
 def compute_state_ranges(s: PhaseSamples) -> Array:
@@ -98,9 +98,9 @@ def compute_state_ranges(s: PhaseSamples) -> Array:
 
     The motion of a free constant that is stated as a state is at rounding level.
     """
-    sizes = np.max(np.abs(s.x), axis=1)
-    still = (s.state_scale <= 2 * SPAN_MIN_SHARE * sizes) & (sizes > 0)
-    return np.where(still, sizes, s.state_scale)
+    magnitudes = np.max(np.abs(s.x), axis=1)
+    is_constant = (s.state_scale <= 2 * SPAN_MIN_SHARE * magnitudes) & (magnitudes > 0)
+    return np.where(is_constant, magnitudes, s.state_scale)
 
 
 MEAN_SHARE = 0.1
@@ -113,56 +113,58 @@ BESIDE = 1.3
 
 def estimate_control_deviations(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
-    lasts, u = s.span, s.u
-    about = set_nonfinite_to_zero(np.abs(u - (u @ s.weights / lasts)[:, None]))
+    span, u = s.span, s.u
+    distance = set_nonfinite_to_zero(np.abs(u - (u @ s.weights / span)[:, None]))
     size = np.max(np.abs(set_nonfinite_to_zero(u)), axis=1)
-    mean = about @ s.weights / lasts
-    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1))
-    bends = np.sqrt(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
+    mean_distance = distance @ s.weights / span
+    rms = np.fmax(np.sqrt(distance**2 @ s.weights / span), NOTABLE * np.max(distance, axis=1))
+    curv = np.sqrt(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / span)
     bounds = s.phase.control_bounds
-    extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
+    width = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
     slope = np.abs(set_nonfinite_to_zero(s.switching_functions))
-    pull = np.where(slope > 0, np.inf, 0.0)
-    pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
-    moves = moved > SPAN_MIN_SHARE * size
-    pull = np.where(moves[:, None], np.minimum(pull, moved[:, None] / MEAN_SHARE), pull)
-    pull = np.where(np.isfinite(pull), pull, size[:, None])
-    deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
-    pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
-    steady = ~moves & ~pulled
-    constant = _estimate_constant_control_deviation(s, size, bends)[:, None]
-    deviation = np.where(steady[:, None], constant, deviation)
-    zero = _estimate_zero_control_deviation(s, np.fmax(size, np.max(deviation, axis=1)))
-    return np.fmax(deviation, zero[:, None])
+    move = np.where(slope > 0, np.inf, 0.0)
+    move = np.minimum(np.divide(slope, curv[:, None], out=move, where=curv[:, None] > 0), width[:, None])
+    is_moving = rms > SPAN_MIN_SHARE * size
+    move = np.where(is_moving[:, None], np.minimum(move, rms[:, None] / MEAN_SHARE), move)
+    move = np.where(np.isfinite(move), move, size[:, None])
+    deviation = np.fmax(np.fmax(distance, MEAN_SHARE * mean_distance[:, None]), move)
+    is_pulled = np.sqrt(move**2 @ s.weights / span) > SPAN_MIN_SHARE * size
+    is_constant = ~is_moving & ~is_pulled
+    constant = _estimate_constant_control_deviation(s, size, curv)[:, None]
+    deviation = np.where(is_constant[:, None], constant, deviation)
+    at_zero = _estimate_zero_control_deviation(s, np.fmax(size, np.max(deviation, axis=1)))
+    return np.fmax(deviation, at_zero[:, None])
 
 
-def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
+def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, curv: Array) -> Array:
     """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / s.span
-    balanced = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    idle = size <= EQUAL * balanced
-    still = max_norm(s.x - s.x[:, :1]) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
-    return np.where(idle, balanced if still else 0.0, size)
+    balanced = np.sqrt(np.divide(2 * cost, curv, out=np.zeros_like(curv), where=curv > 0))
+    is_negligible = size <= EQUAL * balanced
+    is_at_rest = max_norm(s.x - s.x[:, :1]) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
+    return np.where(is_negligible, balanced if is_at_rest else 0.0, size)
 
 
 def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
-    asked, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
+    required, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
     effects = (s.functions.dynamics_control_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
-    own, beside = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
-    share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
-    if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * asked, rounding)):
+    effect, changed = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
+    share = np.divide(effect, changed, out=np.ones_like(effect), where=changed > effect)
+    if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * required, rounding)):
         return np.zeros_like(size)
-    return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
+    return np.asarray(np.where(required > rounding, STILL_STATE_SHARE * required, s.control_span))
 
 
-def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: Mask, cost: float) -> Array:
+def scale_inactive_control_deviations(
+    s: PhaseSamples, deviation: Array, inactive: Mask, cost: float
+) -> Array:
     """Return deviations in which those of inactive controls (m,) cost as much as those of all others together."""
-    if not np.any(idle):
+    if not np.any(inactive):
         return deviation
-    bends = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
-    equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    extent = s.phase.control_bounds.upper - s.phase.control_bounds.lower
-    other = np.where(np.isfinite(extent) & (bends == 0), extent, equal)
-    return np.where(idle[:, None], np.fmax(other[:, None], deviation), deviation)
+    curv = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    by_cost = np.sqrt(np.divide(2 * cost, curv, out=np.zeros_like(curv), where=curv > 0))
+    width = s.phase.control_bounds.upper - s.phase.control_bounds.lower
+    scale = np.where(np.isfinite(width) & (curv == 0), width, by_cost)
+    return np.where(inactive[:, None], np.fmax(scale[:, None], deviation), deviation)

@@ -40,30 +40,30 @@ class ProgramLimits:
 
     @classmethod
     def determine_active_set(
-        cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
+        cls, bounds: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
     ) -> ProgramLimits:
         """Return the limits with the active set determined from values and multipliers (densities)."""
-        below = (multipliers < 0) & (values - box.lower < -multipliers)
-        above = (multipliers > 0) & (box.upper - values < multipliers)
-        active = box.is_fixed | below | above
-        limit = np.where(above, box.upper, box.lower)
-        return cls(box, active, np.where(active, limit, 0.0), labels)
+        at_lower = (multipliers < 0) & (values - bounds.lower < -multipliers)
+        at_upper = (multipliers > 0) & (bounds.upper - values < multipliers)
+        active = bounds.is_fixed | at_lower | at_upper
+        limit = np.where(at_upper, bounds.upper, bounds.lower)
+        return cls(bounds, active, np.where(active, limit, 0.0), labels)
 
     def get_active_multipliers(self, multipliers: Array) -> Array:
         """Return the inward multiplier of each active limit, > 0 for an admissible sign; NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
-        push = np.where(upper, multipliers, -multipliers)
-        return np.where(self.active & ~self.box.is_fixed, push, np.nan)
+        inward = np.where(upper, multipliers, -multipliers)
+        return np.where(self.active & ~self.box.is_fixed, inward, np.nan)
 
     def compute_slack(self, values: Array) -> Array:
         """Return the distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
-        room = np.minimum(values - self.box.lower, self.box.upper - values)
-        return np.where(self.active, np.nan, room)
+        distance = np.minimum(values - self.box.lower, self.box.upper - values)
+        return np.where(self.active, np.nan, distance)
 
     def mask_weakly_active_limits(self, values: Array, multipliers: Array) -> Mask:
         """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
-        pushes, slack = self.get_active_multipliers(multipliers), self.compute_slack(values)
-        return np.asarray((pushes < ACTIVE) | (slack < ACTIVE))
+        inward, slack = self.get_active_multipliers(multipliers), self.compute_slack(values)
+        return np.asarray((inward < ACTIVE) | (slack < ACTIVE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,35 +87,35 @@ class ProgramPoint:
         cls,
         solution: Solution,
         meshes: Mapping[str, Mesh] | None = None,
-        scaled_by: Callable[[Transcription, Problem, Array], Array] = choose_variable_scales,
+        choose_scales: Callable[[Transcription, Problem, Array], Array] = choose_variable_scales,
         rounding: float = 0.0,
-        held: Callable[[Solution], Problem] = impose_touch_points,
+        impose: Callable[[Solution], Problem] = impose_touch_points,
     ) -> ProgramPoint:
         """Return the point of a solution with its problem, on its own meshes or interpolated to others.
 
-        ``scaled_by`` returns the scales (n_variables,); costs below ``rounding`` are rounding;
-        ``held`` returns the problem with active state constraints.
+        ``choose_scales`` returns the scales (n_variables,); costs below ``rounding`` are rounding;
+        ``impose`` returns the problem with active state constraints.
         """
-        problem = held(solution)
+        problem = impose(solution)
         meshes = meshes or {name: phase.mesh for name, phase in solution.phases.items()}
         transcription = transcribe_problem(problem, meshes, solution.scheme)
-        start = build_nlp_point_from_solution(transcription, problem, solution)
-        x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
-        scales = scaled_by(transcription, problem, x)
+        point = build_nlp_point_from_solution(transcription, problem, solution)
+        x, lam_x, lam_g = point.x, point.lam_x, point.lam_g
+        scales = choose_scales(transcription, problem, x)
         row_scales, objective = choose_row_scales(transcription, problem, x, scales)
         objective = min(objective, 1 / rounding) if rounding > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
-        box = _scale_bounds(transcription.get_variable_bounds(problem), scales)
-        row_box = _scale_bounds(transcription.get_constraint_bounds(problem), 1 / row_scales)
+        bounds = _scale_bounds(transcription.get_variable_bounds(problem), scales)
+        row_bounds = _scale_bounds(transcription.get_constraint_bounds(problem), 1 / row_scales)
         weights, row_weights = compute_quadrature_weights(transcription)
         p = transcription.build_parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
         variables = ProgramLimits.determine_active_set(
-            box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
+            bounds, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
         labels = transcription.constraint_row_labels
-        rows = ProgramLimits.determine_active_set(row_box, g, lam / row_weights, labels)
+        rows = ProgramLimits.determine_active_set(row_bounds, g, lam / row_weights, labels)
         return cls(
             problem,
             transcription,
@@ -131,17 +131,18 @@ class ProgramPoint:
         """Return the point with the junction multipliers for which the Lagrangian is stationary in the states there."""
         if not self.transcription.junctions:
             return self
-        met = [
+        states_and_rows = [
             (self.transcription.parts[name].collocation.boundary_states[:, junction.boundary], rows)
             for name, junction, rows in self.transcription.junctions
         ]
-        states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
+        states, rows = (np.unique(np.concatenate(indices)) for indices in zip(*states_and_rows, strict=True))
         states = states[~self.variables.active[states]]
-        by_state, left = self.constraint_jacobian[rows][:, states].toarray(), self.lagrangian_gradient[states]
-        if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
+        by_state = self.constraint_jacobian[rows][:, states].toarray()
+        slope = self.lagrangian_gradient[states]
+        if not (np.isfinite(by_state).all() and np.isfinite(slope).all()):
             return self
         lam = self.lam.copy()
-        lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
+        lam[rows] += np.linalg.lstsq(by_state.T, -slope, rcond=RANK)[0]
         return replace(self, lam=lam)
 
     # --- values and derivatives -------------------------------------------------------------------
@@ -179,8 +180,8 @@ class ProgramPoint:
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        found = self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
-        upper = convert_casadi_to_scipy(found)
+        triangle = self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
+        upper = convert_casadi_to_scipy(triangle)
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
@@ -191,8 +192,8 @@ class ProgramPoint:
     @property
     def kkt_residual(self) -> Array:
         """Residual of the first-order conditions: gradient in the free variables, followed by active rows."""
-        held = self.rows.active
-        excess = (self.constraint_values - self.rows.at)[held]
+        active = self.rows.active
+        excess = (self.constraint_values - self.rows.at)[active]
         return np.concatenate([self.lagrangian_gradient[~self.variables.active], excess])
 
     @cached_property
@@ -213,9 +214,9 @@ def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Arr
     for part in transcription.parts.values():
         collocation = part.collocation
         variables[collocation.point_controls] = collocation.quadrature_weights
-        inner = ~np.isin(collocation.point_states, collocation.boundary_states)
-        wide = np.broadcast_to(collocation.quadrature_weights, inner.shape)
-        variables[collocation.point_states[inner]] = wide[inner]
+        is_inner = ~np.isin(collocation.point_states, collocation.boundary_states)
+        point_weights = np.broadcast_to(collocation.quadrature_weights, is_inner.shape)
+        variables[collocation.point_states[is_inner]] = point_weights[is_inner]
         rows[collocation.path_rows] = collocation.quadrature_weights
     return variables, rows
 
@@ -240,10 +241,10 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     if not np.any(dense):
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
         return solve
-    others = np.flatnonzero(~dense)
-    band = scipy.sparse.csr_matrix(matrix[others][:, others])
+    sparse = np.flatnonzero(~dense)
+    band = scipy.sparse.csr_matrix(matrix[sparse][:, sparse])
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(band, symmetric_mode=True)
-    order = np.concatenate([others[order], np.flatnonzero(dense)])
+    order = np.concatenate([sparse[order], np.flatnonzero(dense)])
     scale = np.where(dense[order], ROUNDING, 1.0)
     ordered = scipy.sparse.diags_array(scale) @ matrix[order][:, order]
     factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(ordered), permc_spec="NATURAL")
@@ -273,24 +274,24 @@ class NullSpace:
 
     @classmethod
     def with_fixed_variables(
-        cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None
+        cls, point: ProgramPoint, fixed: Mask, unit: Any = None, extra_rows: Any = None
     ) -> NullSpace:
-        """Return the space in which ``held`` (n_variables + n_constraints,) are fixed.
+        """Return the space in which ``fixed`` (n_variables + n_constraints,) are fixed.
 
-        ``unit`` (n_variables, n_variations) replaces one variation per variable; ``further`` are additional fixed rows.
+        ``unit`` (n_variables, n_variations) replaces one variation per variable; ``extra_rows`` are fixed, too.
         """
-        held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
+        fixed, rows = fixed[: point.x.size], np.flatnonzero(fixed[point.x.size :])
         if unit is None:
             weights = compute_variation_norm_weights(point.transcription)
             unit = scipy.sparse.diags_array(1 / np.sqrt(weights), format="csc")
-        unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
-        moved = unit[held]
-        moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
+        unit = unit[:, np.flatnonzero(abs(unit[~fixed]).sum(axis=0) > 0)]
+        fixed_unit = unit[fixed]
+        fixed_unit = fixed_unit[np.flatnonzero(abs(fixed_unit).sum(axis=1) > 0)]
         jacobian, norms = _normalise_matrix_rows(point.constraint_jacobian[rows] @ unit)
-        parts = [jacobian, _normalise_matrix_rows(moved)[0]]
-        if further is not None:
-            parts.append(_normalise_matrix_rows(further @ unit)[0])
-        return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
+        blocks = [jacobian, _normalise_matrix_rows(fixed_unit)[0]]
+        if extra_rows is not None:
+            blocks.append(_normalise_matrix_rows(extra_rows @ unit)[0])
+        return cls(unit, rows, norms, scipy.sparse.vstack(blocks, format="csc"))
 
     @property
     def dimension(self) -> int:
@@ -342,7 +343,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
     space = np.empty((min(steps, start.size) + 1, start.size))
     space[0] = start / size
     diagonal: list[float] = []
-    beside: list[float] = []
+    off_diagonal: list[float] = []
     for k in range(space.shape[0] - 1):
         image = operate(space[k])
         diagonal.append(float(space[k] @ image))
@@ -350,19 +351,21 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
         if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
-            k % 10 == 9 and are_extreme_eigenvalues_converged(diagonal, beside, length)
+            k % 10 == 9 and are_extreme_eigenvalues_converged(diagonal, off_diagonal, length)
         ):
             break
-        beside.append(length)
+        off_diagonal.append(length)
         space[k + 1] = image / length
     n = len(diagonal)
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: n - 1])
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, off_diagonal[: n - 1])
     return values, space[:n].T @ vectors
 
 
-def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
+def are_extreme_eigenvalues_converged(
+    diagonal: list[float], off_diagonal: list[float], length: float
+) -> bool:
     """Return whether both ends of the spectrum have converged, from the last components of their eigenvectors."""
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, off_diagonal)
     return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= MINOR * np.max(np.abs(values)))
 
 

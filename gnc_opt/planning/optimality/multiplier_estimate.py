@@ -51,8 +51,8 @@ def _find_jump_candidates(
     They are gradients in the program's variables, sparse (n_variables, n_atoms), variations of the constraints, and
     active limits; ``scales`` (n_variables,) are variations of the variables.
     """
-    nowhere = np.zeros(0, dtype=bool)
-    found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
+    none = np.zeros(0, dtype=bool)
+    candidates = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), none, none)]
     for name, part in transcription.parts.items():
         functions, phase, fit = (bind_parameters(problem, name, q), problem.phases[name], fitted[name])
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
@@ -62,21 +62,21 @@ def _find_jump_candidates(
         times = fit.x.breaks
         # A shared value belongs to the segment that starts there; the last one to the last segment.
         x, u = fit.x(times), fit.u(times)
-        places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
+        variables, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
         gradients = gradients[:, pure]
-        sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
+        sizes = np.sum(np.abs(gradients) * scales[variables][:, None], axis=0)
         values, limits = functions.path_constraints(times, x, u)[pure], phase.get_path_bounds()
         at_lower = values <= limits.lower[pure, None] + near * sizes
         at_upper = values >= limits.upper[pure, None] - near * sizes
         touched_only = np.array([orders[i] == 1 for i in pure])
-        chosen = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
-        which, k = np.nonzero(chosen)
-        entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
-        shape = scales.size, which.size
-        matrix = scipy.sparse.csc_array((gradients[:, which, k].ravel(), entries), shape=shape)
-        found.append((matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
-    matrices, *others = zip(*found, strict=True)
-    sizes, lower, upper = map(np.concatenate, others)
+        possible = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
+        constraint, k = np.nonzero(possible)
+        entries = variables[:, k].ravel(), np.tile(np.arange(constraint.size), variables.shape[0])
+        shape = scales.size, constraint.size
+        matrix = scipy.sparse.csc_array((gradients[:, constraint, k].ravel(), entries), shape=shape)
+        candidates.append((matrix, sizes[possible], at_lower[possible], at_upper[possible]))
+    matrices, *arrays = zip(*candidates, strict=True)
+    sizes, lower, upper = map(np.concatenate, arrays)
     return scipy.sparse.hstack(matrices, format="csc"), sizes, _ActiveSet(lower, upper)
 
 
@@ -84,21 +84,21 @@ def differentiate_path_constraints(
     transcription: Transcription,
     part: PhaseIndices,
     functions: PhaseFunctions,
-    at: tuple[Array, Array, Array],
+    trajectory: tuple[Array, Array, Array],
 ) -> tuple[Indices, Array]:
     """Return the gradients of path constraints at segment boundaries of a phase in the variables of the program.
 
-    ``at`` are times (K + 1,), states and controls there. The result are the indices of the variables (states, free
+    ``trajectory`` are times (K + 1,), states and controls there. Returns the indices of the variables (states, free
     times, free parameters) (k, K + 1) and the gradients (k, n_paths, K + 1).
     """
-    collocation, n = part.collocation, at[0].size
-    by_time, by_state, by_parameter = functions.path_gradients(*at)
-    free = part.times < transcription.n_variables
-    others = np.concatenate([part.times[free], transcription.parameter_places])
-    moved = _differentiate_break_times(collocation.mesh)[free]
+    collocation, n = part.collocation, trajectory[0].size
+    by_time, by_state, by_parameter = functions.path_gradients(*trajectory)
+    is_free = part.times < transcription.n_variables
+    common_variables = np.concatenate([part.times[is_free], transcription.parameter_places])
+    by_anchor = _differentiate_break_times(collocation.mesh)[is_free]
     return (
-        np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
-        np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
+        np.vstack([collocation.boundary_states, np.repeat(common_variables[:, None], n, axis=1)]),
+        np.concatenate([by_state, by_anchor[:, None] * by_time, by_parameter]),
     )
 
 
@@ -106,16 +106,16 @@ def _mask_possible_costate_jumps(active: Mask, touched_only: Mask) -> Mask:
     """Return where active constraints (n, K + 1) may have an atom: not inside arcs, nor at the ends of certain arcs."""
     before, after = np.zeros_like(active), np.zeros_like(active)
     before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
-    beside = np.where(touched_only[:, None], before | after, before & after)
-    beside[:, [0, -1]] = False
-    return np.asarray(active & ~beside)
+    inside_arc = np.where(touched_only[:, None], before | after, before & after)
+    inside_arc[:, [0, -1]] = False
+    return np.asarray(active & ~inside_arc)
 
 
 def _differentiate_break_times(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.arc_breaks)]
-    return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
+    return np.array([np.interp(fractions, anchors, unit) for unit in np.eye(anchors.size)])
 
 
 MAX_TRANSITION_NORM = 1e4
@@ -158,14 +158,14 @@ def estimate_multipliers(
     jumps = scipy.sparse.diags_array(weights) @ gradients
     jumps = jumps @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
-    pushing = _ActiveSet(
+    all_limits = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
     )
     restarts = {name: _choose_shooting_nodes(problem, name, phase, q) for name, phase in fitted.items()}
-    exact = _mask_adjoint_equation_rows(transcription, restarts)
-    determined = _mask_adjoint_multipliers(transcription, restarts)
-    basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
-    scaled = _fit_multipliers(with_atoms, gradient * weights * factor, exact, basis, limits, pushing)
+    is_exact = _mask_adjoint_equation_rows(transcription, restarts)
+    is_adjoint_multiplier = _mask_adjoint_multipliers(transcription, restarts)
+    basis = np.append(is_adjoint_multiplier, np.zeros(sizes.size, dtype=bool))
+    scaled = _fit_multipliers(with_atoms, gradient * weights * factor, is_exact, basis, limits, all_limits)
     lam_g = scaled[: values.size] * row_scales / factor
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return NlpIterate(x, np.where(limits.is_at_any_limit, -residual, 0.0), lam_g)
@@ -199,51 +199,51 @@ class _CostateFit:
     """
 
     def __init__(
-        self, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _ActiveSet, pushing: _ActiveSet
+        self, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _ActiveSet, row_set: _ActiveSet
     ) -> None:
-        self._loose, self.columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
+        self._loose, self.columns = np.flatnonzero(~exact), np.flatnonzero(row_set.is_at_any_limit & ~basis)
         self.freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
         self._basis, self._size = np.flatnonzero(basis), matrix.shape[1]
         matrix = scipy.sparse.csr_array(matrix)
-        above, below = matrix[rows], matrix[self._loose]
-        factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(above[:, self._basis]))
-        own = np.zeros((rows.size, self.freed.size))
-        own[np.searchsorted(rows, self.freed), np.arange(self.freed.size)] = 1.0
-        right = np.column_stack([above[:, self.columns].toarray(), own, gradient[rows]])
+        exact_rows, other_rows = matrix[rows], matrix[self._loose]
+        factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(exact_rows[:, self._basis]))
+        freed_columns = np.zeros((rows.size, self.freed.size))
+        freed_columns[np.searchsorted(rows, self.freed), np.arange(self.freed.size)] = 1.0
+        right = np.column_stack([exact_rows[:, self.columns].toarray(), freed_columns, gradient[rows]])
         response = -factors.solve(right)
-        response -= factors.solve(right + above[:, self._basis] @ response)
+        response -= factors.solve(right + exact_rows[:, self._basis] @ response)
         self.is_singular = not np.all(np.isfinite(response))
-        found = below[:, self._basis] @ response
-        found[:, : self.columns.size] += below[:, self.columns].toarray()
-        found[:, -1] += gradient[self._loose]
+        reduced = other_rows[:, self._basis] @ response
+        reduced[:, : self.columns.size] += other_rows[:, self.columns].toarray()
+        reduced[:, -1] += gradient[self._loose]
         # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
-        found[~np.all(np.isfinite(found), axis=1)] = 0.0
-        self.matrix, self.right, self._response = found[:, :-1], found[:, -1], response
+        reduced[~np.all(np.isfinite(reduced), axis=1)] = 0.0
+        self.matrix, self.right, self._response = reduced[:, :-1], reduced[:, -1], response
 
-    def solve_least_squares(self, imposed: Mask, pushing: Mask) -> Array:
+    def solve_least_squares(self, imposed: Mask, allowed: Mask) -> Array:
         """Return the unknowns with the smallest residual of the imposed rows; inactive ones are zero."""
-        used = np.concatenate([pushing[self.columns], ~imposed[self.freed]])
+        used = np.concatenate([allowed[self.columns], ~imposed[self.freed]])
         rows = imposed[self._loose]
-        part = self.matrix[np.ix_(rows, used)]
+        block = self.matrix[np.ix_(rows, used)]
         unknowns = np.zeros(used.size)
-        if part.size:
-            sizes = replace_zeros_by_one(np.linalg.norm(part, axis=0))
-            found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
-            unknowns[used] = found / sizes
+        if block.size:
+            sizes = replace_zeros_by_one(np.linalg.norm(block, axis=0))
+            scaled = scipy.linalg.lstsq(block / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
+            unknowns[used] = scaled / sizes
         return unknowns
 
     def compute_dual_residuals(self, unknowns: Array, n_rows: int) -> Array:
         """Return the residuals of all rows (n_rows,); for freed rows the negative multiplier."""
-        left = np.zeros(n_rows)
-        left[self._loose] = self.right + self.matrix @ unknowns
-        left[self.freed] = -unknowns[self.columns.size :]
-        return left
+        residuals = np.zeros(n_rows)
+        residuals[self._loose] = self.right + self.matrix @ unknowns
+        residuals[self.freed] = -unknowns[self.columns.size :]
+        return residuals
 
     def expand_unknown_multipliers(self, unknowns: Array) -> Array:
-        found = np.zeros(self._size)
-        found[self.columns] = unknowns[: self.columns.size]
-        found[self._basis] = self._response @ np.append(unknowns, 1.0)
-        return found
+        multipliers = np.zeros(self._size)
+        multipliers[self.columns] = unknowns[: self.columns.size]
+        multipliers[self._basis] = self._response @ np.append(unknowns, 1.0)
+        return multipliers
 
 
 def _fit_multipliers(
@@ -251,65 +251,65 @@ def _fit_multipliers(
 ) -> Array:
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
     try:
-        form = _CostateFit(matrix, gradient, exact, basis, limits, row_limits)
+        fit = _CostateFit(matrix, gradient, exact, basis, limits, row_limits)
     except RuntimeError:
-        form = None
-    if form is None or form.is_singular:  # no multipliers explain the trajectory
+        fit = None
+    if fit is None or fit.is_singular:  # no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
-    imposed, pushing = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
-    unknowns = np.zeros(form.matrix.shape[1])
-    size = float(np.max(np.abs(form.right), initial=TINY))
+    imposed, allowed = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
+    unknowns = np.zeros(fit.matrix.shape[1])
+    size = float(np.max(np.abs(fit.right), initial=TINY))
     for _ in range(_ROUNDS):
-        unknowns = form.solve_least_squares(imposed, pushing)
-        found = np.zeros(matrix.shape[1])
-        found[form.columns] = unknowns[: form.columns.size]
-        residuals = form.compute_dual_residuals(unknowns, gradient.size)
-        pulling = limits.mask_wrong_multiplier_signs(-residuals, size) & ~imposed
-        largest = float(np.max(np.abs(found), initial=TINY))
-        wrong = row_limits.mask_wrong_multiplier_signs(found, largest) & pushing & ~basis
-        if not (np.any(pulling) or np.any(wrong)):
+        unknowns = fit.solve_least_squares(imposed, allowed)
+        multipliers = np.zeros(matrix.shape[1])
+        multipliers[fit.columns] = unknowns[: fit.columns.size]
+        residuals = fit.compute_dual_residuals(unknowns, gradient.size)
+        wrong_bounds = limits.mask_wrong_multiplier_signs(-residuals, size) & ~imposed
+        largest = float(np.max(np.abs(multipliers), initial=TINY))
+        wrong_rows = row_limits.mask_wrong_multiplier_signs(multipliers, largest) & allowed & ~basis
+        if not (np.any(wrong_bounds) or np.any(wrong_rows)):
             break
-        if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
-            right = _fit_multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
-            if right is not None:
-                return form.expand_unknown_multipliers(right)
-        imposed, pushing = imposed | pulling, pushing & ~wrong
-    return form.expand_unknown_multipliers(unknowns)
+        if not np.any(imposed & limits.is_at_any_limit) and np.all(allowed == row_limits.is_at_any_limit):
+            signed = _fit_multipliers_with_right_signs(fit, unknowns, limits, row_limits, size)
+            if signed is not None:
+                return fit.expand_unknown_multipliers(signed)
+        imposed, allowed = imposed | wrong_bounds, allowed & ~wrong_rows
+    return fit.expand_unknown_multipliers(unknowns)
 
 
 def _fit_multipliers_with_right_signs(
-    form: _CostateFit, first: Array, limits: _ActiveSet, row_limits: _ActiveSet, size: float
+    fit: _CostateFit, first: Array, limits: _ActiveSet, row_limits: _ActiveSet, size: float
 ) -> Array | None:
     """Return unknowns of admissible sign from a linear program, if these fit equally well."""
     n_rows = limits.is_at_any_limit.size
-    left, imposed = form.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
-    exact = max_norm(left[imposed]) <= NEGLIGIBLE * size  # otherwise the sign does not matter
-    if not exact or form.matrix.size > _SIGN_ENTRIES:
+    residual, imposed = fit.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
+    fits_exactly = max_norm(residual[imposed]) <= NEGLIGIBLE * size  # otherwise the sign does not matter
+    if not fits_exactly or fit.matrix.size > _SIGN_ENTRIES:
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
-    matrix[form._loose], right[form._loose] = form.matrix, form.right
-    matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
-    bound = limits.is_at_any_limit
+    matrix[fit._loose], right[fit._loose] = fit.matrix, fit.right
+    matrix[fit.freed, fit.columns.size + np.arange(fit.freed.size)] = -1.0
+    at_limit = limits.is_at_any_limit
     # At an active limit the residual -(g + A y) is the multiplier: >= 0 at upper, <= 0 at lower limits.
-    only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
+    only_upper, only_lower = at_limit & ~limits.lower, at_limit & ~limits.upper
     one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
     # Multipliers are maximised, so that none is zero at a point with the wrong sign next to it.
     margin = np.ones((one_sided.shape[0], 1))
-    loose = imposed & np.isin(np.arange(n_rows), form._loose)
+    remaining = imposed & np.isin(np.arange(n_rows), fit._loose)
     signs = [
-        (None if row_limits.lower[k] else 0.0, None if row_limits.upper[k] else 0.0) for k in form.columns
+        (None if row_limits.lower[k] else 0.0, None if row_limits.upper[k] else 0.0) for k in fit.columns
     ]
-    found = scipy.optimize.linprog(
+    result = scipy.optimize.linprog(
         np.append(np.zeros(first.size), -1.0),
         A_ub=np.hstack([one_sided, margin]),
         b_ub=np.concatenate([-right[only_upper], right[only_lower]]),
-        A_eq=np.hstack([matrix[loose], np.zeros((int(np.sum(loose)), 1))]),
-        b_eq=-right[loose],
-        bounds=[*signs, *([(None, None)] * form.freed.size), (0.0, size)],
+        A_eq=np.hstack([matrix[remaining], np.zeros((int(np.sum(remaining)), 1))]),
+        b_eq=-right[remaining],
+        bounds=[*signs, *([(None, None)] * fit.freed.size), (0.0, size)],
         method="highs",
         options={"maxiter": _SIGN_ITERATIONS},
     )
-    return None if found.status != 0 else np.asarray(found.x[:-1])
+    return None if result.status != 0 else np.asarray(result.x[:-1])
 
 
 def _sample_trajectory_variables(
@@ -346,9 +346,9 @@ def _mask_adjoint_multipliers(transcription: Transcription, restarts: Mapping[st
         counts = [n * (degree + collocation.family.extra_rows) for degree in mesh.degrees]
         segments = np.repeat(np.arange(mesh.segments), counts)
         ends = np.searchsorted(segments, np.append(restarts[name], segments[-1] + 1))
-        own = np.ones(segments.size, dtype=bool)
-        own[(ends[:, None] - 1 - np.arange(n)).ravel()] = False
-        columns[collocation.first_row : collocation.first_row + segments.size] = own
+        is_determined = np.ones(segments.size, dtype=bool)
+        is_determined[(ends[:, None] - 1 - np.arange(n)).ravel()] = False
+        columns[collocation.first_row : collocation.first_row + segments.size] = is_determined
     return columns
 
 
@@ -361,13 +361,13 @@ def _choose_shooting_nodes(problem: Problem, name: str, phase: FittedPhase, q: A
     jacobian = np.moveaxis(np.nan_to_num(jacobian), 2, 0)
     size = replace_zeros_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
-    found, transition = [], np.eye(size.size)
+    nodes, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
         transition = transition @ steps[k]
         if np.linalg.norm(transition, 2) > MAX_TRANSITION_NORM:
-            found.append(k)
+            nodes.append(k)
             transition = np.eye(size.size)
-    return np.array(found[::-1], dtype=int)
+    return np.array(nodes[::-1], dtype=int)
 
 
 def _estimate_variable_scales(
@@ -377,15 +377,15 @@ def _estimate_variable_scales(
     scales = replace_zeros_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
-        for places, box in (
+        for indices, bounds in (
             (collocation.point_states, numbers.states),
             (collocation.point_controls, numbers.controls),
         ):
-            size = np.max(np.abs(x[places]), axis=1)
-            varies = np.ptp(x[places], axis=1) if places.size else np.zeros(places.shape[0])
-            extent = box.upper - box.lower
-            still = np.where(size > 0, size, np.where(np.isfinite(extent) & (extent > 0), extent, 1.0))
-            scales[places] = np.where(varies > SPAN_MIN_SHARE * size, varies, still)[:, None]
+            size = np.max(np.abs(x[indices]), axis=1)
+            variation = np.ptp(x[indices], axis=1) if indices.size else np.zeros(indices.shape[0])
+            width = bounds.upper - bounds.lower
+            constant_scale = np.where(size > 0, size, np.where(np.isfinite(width) & (width > 0), width, 1.0))
+            scales[indices] = np.where(variation > SPAN_MIN_SHARE * size, variation, constant_scale)[:, None]
         scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
     # Rounding errors of a constant variable are no variation.

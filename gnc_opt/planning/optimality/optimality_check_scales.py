@@ -110,81 +110,81 @@ class Scales:
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
         """Return the scales of a solution with data from its problem."""
         problem = solution.need_problem("verify")
-        lasting = [s for s in samples if s.has_duration]
+        nonempty = [s for s in samples if s.has_duration]
         ends = EndPoints.from_solution(solution, samples)
-        order = sorted(samples, key=lambda s: s.phase.initial_time)
-        links = differentiate_linked_initial_states(problem, solution, order)
+        ordered = sorted(samples, key=lambda s: s.phase.initial_time)
+        links = differentiate_linked_initial_states(problem, solution, ordered)
         deviations = {s.phase.name: estimate_control_deviations(s) for s in samples}
-        typical = {n: estimate_state_and_control_magnitudes(p)[0] for n, p in problem.phases.items()}
+        magnitudes = {n: estimate_state_and_control_magnitudes(p)[0] for n, p in problem.phases.items()}
 
         def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
-            gramians = compute_control_gramians(links, order, deviations, columns)
+            gramians = compute_control_gramians(links, ordered, deviations, columns)
             phases = {s.phase.name: s for s in samples}
-            return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in phases.items()}
+            return {n: compute_phase_reachable_sets(s, gramians[n], magnitudes[n]) for n, s in phases.items()}
 
         reach = compute_reachable_sets({})
         costs = {s.phase.name: _compute_control_costs(s, deviations[s.phase.name]) for s in samples}
-        flat = sum(float(np.sum(c)) for c in costs.values())
-        changed = sum(
+        total = sum(float(np.sum(c)) for c in costs.values())
+        curvature = sum(
             max_norm(_compute_hamiltonian_second_differences(s, reach[s.phase.name][1].semi_axes))
-            for s in lasting
+            for s in nonempty
         )
-        changed += flat + ends.compute_end_cost_curvature(reach)
-        least = EQUAL * changed
+        curvature += total + ends.compute_end_cost_curvature(reach)
+        smallest = EQUAL * curvature
         resolved = dict(deviations)
-        for s in lasting:
-            idle = costs[s.phase.name] <= ROUNDING * SMALL * changed
-            resolved[s.phase.name] = scale_inactive_control_deviations(s, resolved[s.phase.name], idle, flat)
+        for s in nonempty:
+            low = costs[s.phase.name] <= ROUNDING * SMALL * curvature
+            resolved[s.phase.name] = scale_inactive_control_deviations(s, resolved[s.phase.name], low, total)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             reach = compute_reachable_sets({})
         cost = sum(_compute_cost_of_joint_control_deviation(s, deviations[s.phase.name]) for s in samples)
         cost += sum(_compute_end_time_shift_cost(s, ends) for s in samples)
-        controlled = any(s.phase.controls.size for s in lasting)
+        controlled = any(s.phase.controls.size for s in nonempty)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
-        if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
+        if cost < SMALL * curvature and not any(np.any(s.control_hessian) for s in nonempty):
             # Along singular arcs controls change the cost only through the states.
-            moves = [np.diag(reach[s.phase.name][1].radius) for s in lasting]
-            differences = map(_compute_hamiltonian_second_differences, lasting, moves)
-            cost = changed + sum(np.sum(np.abs(change)) for change in differences)
-            costs = {name: np.full_like(own, cost) for name, own in costs.items()}
+            displacements = [np.diag(reach[s.phase.name][1].radius) for s in nonempty]
+            differences = map(_compute_hamiltonian_second_differences, nonempty, displacements)
+            cost = curvature + sum(np.sum(np.abs(change)) for change in differences)
+            costs = {name: np.full_like(cost_by_control, cost) for name, cost_by_control in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limited = sum(
-            _compute_cost_of_state_shift_at_limits(s, reach[s.phase.name][1].radius) for s in lasting
+        limit_cost = sum(
+            _compute_cost_of_state_shift_at_limits(s, reach[s.phase.name][1].radius) for s in nonempty
         )
-        cost = limited if cost < SMALL * limited else cost
+        cost = limit_cost if cost < SMALL * limit_cost else cost
         curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
-        cost = max(cost, EQUAL * abs(solution.objective), least)
+        cost = max(cost, EQUAL * abs(solution.objective), smallest)
         parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
-            columns = {s.phase.name: linearise_dynamics(s)[-1] * parameters for s in lasting}
+            columns = {s.phase.name: linearise_dynamics(s)[-1] * parameters for s in nonempty}
             reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         boundary = {
             step: ends.compute_boundary_gramian(reach, parameters, step) for step in (1.0, *NEARER_SHARES)
         }
-        return cls(phases, cost, changed, parameters, ends, reach, links, boundary)
+        return cls(phases, cost, curvature, parameters, ends, reach, links, boundary)
 
     def estimate_control_change_by_costate_gap(self, s: PhaseSamples, gap: Array) -> float:
         """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
 
         Relative to the cost scale of all controls, errors of low-cost controls are not visible.
         """
-        own, bends = self.phases[s.phase.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
-        shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0)
-        cheap &= mask_controls_with_cost_curvature(s)
-        if not (np.any(gap) and np.any(cheap)):
+        phase_scales, curv = self.phases[s.phase.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
+        shares = phase_scales.control_cost / self.cost
+        is_cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (curv > 0)
+        is_cheap &= mask_controls_with_cost_curvature(s)
+        if not (np.any(gap) and np.any(is_cheap)):
             return 0.0
         times, response = differentiate_final_state_by_controls(s)
-        moved = np.einsum("i,imt->mt", gap, response) * s.span / np.where(cheap, bends, 1.0)[:, None]
-        deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
-        share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
-        miss = float(np.max(np.sqrt(np.mean(share**2, axis=1)), where=cheap, initial=0.0))
-        return miss if miss > NOTABLE else 0.0
+        change = np.einsum("i,imt->mt", gap, response) * s.span / np.where(is_cheap, curv, 1.0)[:, None]
+        deviation = np.stack([np.interp(times, s.times, row) for row in phase_scales.deviation])
+        relative = np.divide(np.abs(change), deviation, out=np.zeros_like(change), where=deviation > 0)
+        largest = float(np.max(np.sqrt(np.mean(relative**2, axis=1)), where=is_cheap, initial=0.0))
+        return largest if largest > NOTABLE else 0.0
 
 
 def sample_control_deviations(s: PhaseSamples, scales: Scales, times: Array) -> Array:
@@ -210,27 +210,27 @@ def _compute_control_costs(s: PhaseSamples, deviation: Array) -> Array:
 
 def _compute_cost_of_joint_control_deviation(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
-    bends = np.abs(set_nonfinite_to_zero(s.control_hessian))
+    curvature = np.abs(set_nonfinite_to_zero(s.control_hessian))
     first = np.sum(np.abs(set_nonfinite_to_zero(s.switching_functions)) * deviation, axis=0) @ s.weights
-    second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
-    parts = s.cost_gradient, s.switching_functions - s.cost_gradient
-    slopes = (np.abs(set_nonfinite_to_zero(part)) for part in parts)
-    terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
+    second = 0.5 * np.einsum("ijt,it,jt,t->", curvature, deviation, deviation, s.weights)
+    slope_parts = s.cost_gradient, s.switching_functions - s.cost_gradient
+    slopes = (np.abs(set_nonfinite_to_zero(part)) for part in slope_parts)
+    largest_term = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
-    return change if change > NEGLIGIBLE * terms else terms
+    return change if change > NEGLIGIBLE * largest_term else largest_term
 
 
-def _compute_cost_of_state_shift_at_limits(s: PhaseSamples, moved: Array) -> float:
+def _compute_cost_of_state_shift_at_limits(s: PhaseSamples, displacement: Array) -> float:
     """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
-    forces = set_nonfinite_to_zero(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
-    return float(moved @ np.abs(forces) @ s.weights)
+    costate_forces = set_nonfinite_to_zero(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
+    return float(displacement @ np.abs(costate_forces) @ s.weights)
 
 
 def mask_controls_with_cost_curvature(s: PhaseSamples) -> Mask:
     """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
-    none = np.zeros_like(s.lam), np.zeros_like(s.mu)
-    bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
-    return np.asarray(np.max(bends, axis=1) > 0.0)
+    no_multipliers = np.zeros_like(s.lam), np.zeros_like(s.mu)
+    curvature = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *no_multipliers))
+    return np.asarray(np.max(curvature, axis=1) > 0.0)
 
 
 def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Array:
@@ -239,23 +239,23 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    found = (compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
-    coarse, fine = map(set_nonfinite_to_zero, found)
-    smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
-    return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
+    differences = (compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
+    coarse, fine = map(set_nonfinite_to_zero, differences)
+    is_smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
+    return np.asarray(np.where(is_smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
-def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
+def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, stride: int = 1) -> Array:
     """Return central first and half second differences per step of the integral of H along moves (2, n).
 
-    H is taken at every ``every``-th sample.
+    H is taken at every ``stride``-th sample.
     """
-    x, u, lam, times = s.x[:, ::every], s.u[:, ::every], s.lam[:, ::every], s.times[::every]
-    count, weights = 2 * moves.shape[1], every * s.weights[::every]
-    moved = step * np.hstack([moves, -moves])
-    places = (x[:, None, :] + moved[:, :, None]).reshape(x.shape[0], -1)
-    values = s.functions.hamiltonian(np.tile(times, count), places, np.tile(u, count), np.tile(lam, count))
-    change = (values.reshape(count, -1) - s.hamiltonian[::every]) @ weights
+    x, u, lam, times = s.x[:, ::stride], s.u[:, ::stride], s.lam[:, ::stride], s.times[::stride]
+    count, weights = 2 * moves.shape[1], stride * s.weights[::stride]
+    steps = step * np.hstack([moves, -moves])
+    states = (x[:, None, :] + steps[:, :, None]).reshape(x.shape[0], -1)
+    values = s.functions.hamiltonian(np.tile(times, count), states, np.tile(u, count), np.tile(lam, count))
+    change = (values.reshape(count, -1) - s.hamiltonian[::stride]) @ weights
     ahead, behind = change[: count // 2], change[count // 2 :]
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
@@ -275,26 +275,26 @@ def _compute_parameter_deviations(
     problem: Problem, solution: Solution, curvatures: Array, cost: float
 ) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
-    size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
-    equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
-    return np.asarray(np.where(np.isfinite(equal), equal, size))
+    size, unlimited = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
+    by_cost = np.sqrt(np.divide(2 * cost, curvatures, out=unlimited, where=curvatures > 0))
+    return np.asarray(np.where(np.isfinite(by_cost), by_cost, size))
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().interval_width_or_zero
-    return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
+    size, width = np.abs(solution.parameter_values), problem.get_parameter_bounds().interval_width_or_zero
+    return np.asarray(np.where(size > 0, size, replace_zeros_by_one(width)))
 
 
 def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
     """Return the second derivatives of the Lagrangian in the free parameters (n,), by differences."""
     values, size = solution.parameter_values, _compute_parameter_magnitudes(problem, solution)
-    bends = np.zeros(values.size)
+    curvatures = np.zeros(values.size)
     for i in range(values.size):
         step = np.zeros(values.size)
         step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
         slopes = [_differentiate_lagrangian(solution, samples, values + k * step)[i] for k in (1, -1)]
-        bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
-    return set_nonfinite_to_zero(bends)
+        curvatures[i] = (slopes[0] - slopes[1]) / (2 * step[i])
+    return set_nonfinite_to_zero(curvatures)
 
 
 def _differentiate_lagrangian(solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
@@ -329,8 +329,8 @@ class EndPoints:
         problem = solution.need_problem("verify")
         ends = {name: phase.endpoint_arguments for name, phase in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
-        nothing = np.zeros(solution.constraint_multipliers.size)
-        gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
+        zero_multipliers = np.zeros(solution.constraint_multipliers.size)
+        gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, zero_multipliers)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
     def compute_endpoint_changes(self) -> Array:
@@ -372,19 +372,19 @@ class EndPoints:
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        steps, places = share * np.hstack(moves), np.cumsum([v.size for v in self.values])[:-1]
+        steps, splits = share * np.hstack(moves), np.cumsum([v.size for v in self.values])[:-1]
         first, second = (v[:-1] for v in self._compute_endpoint_finite_differences(steps))
         states = [at for at in range(len(self.values) - 1) if at % 6 < 2]
-        rows = np.vstack([first, *(np.split(steps, places)[at] for at in states)])
+        rows = np.vstack([first, *(np.split(steps, splits)[at] for at in states)])
         sizes = np.abs(np.concatenate([self.values[at] for at in states]))
         changes = np.diag(SECOND_DIFFERENCE_STEP_SHARE * np.concatenate(self.values))
-        parts = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
-        terms = np.sum(parts, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
+        term_sizes = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
+        terms = np.sum(term_sizes, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
         terms = np.append(np.fmax(np.abs(self.gradients.constraints), terms), sizes)
         starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name][0].radius for s in self.samples]
         fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
-        bends = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
-        return rows @ rows.T + np.diag((share * fixed) ** 2), bends, terms
+        curvature = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
+        return rows @ rows.T + np.diag((share * fixed) ** 2), curvature, terms
 
     @property
     def _constraint_and_cost_weights(self) -> Array:
@@ -400,13 +400,15 @@ class EndPoints:
             moves[k] = change
         return np.vstack(moves)
 
-    def _list_end_displacements_along_axes(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
-        """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
+    def _list_end_displacements_along_axes(
+        self, reach: Mapping[str, Reach], *, keep_zero_axes: bool = False
+    ) -> Array:
+        """Return moves of the ends along their principal axes; with ``keep_zero_axes``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.phase.name]
             free, n = ~s.phase.initial_bounds.is_fixed, s.phase.states.size
-            first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
+            first, last = (e.nonzero_semi_axes if keep_zero_axes else e.semi_axes for e in (start, end))
             moves.append(self._expand_endpoint_displacements({6 * k: first[:, free] * free[:, None]}))
             moves.append(self._expand_endpoint_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
         return np.hstack(moves)
@@ -415,10 +417,10 @@ class EndPoints:
         """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
         moves, step = [], SECOND_DIFFERENCE_STEP_SHARE * s.span
         bounds = (s.phase.initial_time_bounds, s.phase.final_time_bounds)
-        for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
-            if not box.is_fixed[0]:
-                rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-                change = {place: set_nonfinite_to_zero(rate) * step, place + 2: np.array([[step]])}
+        for sample, index, time_bounds in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
+            if not time_bounds.is_fixed[0]:
+                rate = s.functions.state_rates(s.times[[sample]], s.x[:, [sample]], s.u[:, [sample]])
+                change = {index: set_nonfinite_to_zero(rate) * step, index + 2: np.array([[step]])}
                 moves.append(self._expand_endpoint_displacements(change))
         return moves
 
@@ -427,29 +429,29 @@ class EndPoints:
     ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
-            self._list_end_displacements_along_axes(reach, still=True),
+            self._list_end_displacements_along_axes(reach, keep_zero_axes=True),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
-            for place, box in (
+            for index, time_bounds in (
                 (6 * k + 2, s.phase.initial_time_bounds),
                 (6 * k + 3, s.phase.final_time_bounds),
             ):
-                if not box.is_fixed[0]:
-                    moves.append(self._expand_endpoint_displacements({place: np.array([[s.span]])}))
+                if not time_bounds.is_fixed[0]:
+                    moves.append(self._expand_endpoint_displacements({index: np.array([[s.span]])}))
         first, second = self._compute_endpoint_finite_differences(step * np.hstack(moves))
         weights = self._constraint_and_cost_weights
         return np.stack([weights @ first, 0.5 * (weights @ second)]) / step
 
     def _compute_endpoint_finite_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
-        here, n = np.concatenate(self.values)[:, None], moves.shape[1]
-        places = np.cumsum([v.size for v in self.values])[:-1]
-        rows = np.split(np.hstack([here, here + moves, here - moves]), places)
+        values, n = np.concatenate(self.values)[:, None], moves.shape[1]
+        splits = np.cumsum([v.size for v in self.values])[:-1]
+        rows = np.split(np.hstack([values, values + moves, values - moves]), splits)
         nu = np.zeros(self.solution.constraint_multipliers.size)
         with np.errstate(all="ignore"):
             function = get_endpoint_value_function(self.solution.need_problem("verify"))
-            found = evaluate_casadi_batch(function, 1 + 2 * n, *rows, nu)
-            base, ahead, behind = found[:, :1], found[:, 1 : 1 + n], found[:, 1 + n :]
+            results = evaluate_casadi_batch(function, 1 + 2 * n, *rows, nu)
+            base, ahead, behind = results[:, :1], results[:, 1 : 1 + n], results[:, 1 + n :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return set_nonfinite_to_zero(first), set_nonfinite_to_zero(second)

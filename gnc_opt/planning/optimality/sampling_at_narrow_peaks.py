@@ -31,28 +31,28 @@ def find_zero_times(function: Callable[[Array], Array], rows: Indices, left: Arr
     def evaluate_selected_function_rows(times: Array, row: Array) -> Array:
         return np.asarray(function(times)[row.astype(int), np.arange(times.size)])
 
-    found = find_root(evaluate_selected_function_rows, (left, right), args=(rows,))
-    return np.where(found.success, found.x, 0.5 * (left + right))
+    roots = find_root(evaluate_selected_function_rows, (left, right), args=(rows,))
+    return np.where(roots.success, roots.x, 0.5 * (left + right))
 
 
 def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
-    centres = build_threshold_crossing_function(problem, problem.phases[s.phase.name])
-    if centres is None or not s.has_duration:
+    threshold_function = build_threshold_crossing_function(problem, problem.phases[s.phase.name])
+    if threshold_function is None or not s.has_duration:
         return np.zeros(0)
 
     def evaluate_threshold_distances(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.phase.x(times), s.phase.applied(times)
-        return np.asarray(evaluate_casadi_batch(centres, times.size, times[None], x, u, *numbers))
+        return np.asarray(evaluate_casadi_batch(threshold_function, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
     signs = np.sign(evaluate_threshold_distances(times))
-    rows, places = np.nonzero(np.abs(np.diff(signs)) == 2)
-    met = times[np.nonzero(signs == 0)[1]]
-    rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    crossed = find_zero_times(evaluate_threshold_distances, rows, times[places], times[places + 1])
-    found = np.concatenate([crossed, met[:MOST_CENTRES]])[:MOST_CENTRES]
+    rows, intervals = np.nonzero(np.abs(np.diff(signs)) == 2)
+    touched = times[np.nonzero(signs == 0)[1]]
+    rows, intervals = rows[:MOST_CENTRES], intervals[:MOST_CENTRES]
+    crossings = find_zero_times(evaluate_threshold_distances, rows, times[intervals], times[intervals + 1])
+    centre_times = np.concatenate([crossings, touched[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
-    edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
+    edges = np.unique(centre_times[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.phase.breaks[0]) & (edges < s.phase.breaks[-1])])

@@ -125,11 +125,11 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     phase = s.phase
     breaks = phase.breaks[1:-1]
     jumps = np.abs(phase.applied(breaks) - phase.applied(breaks, "left"))
-    span = phase.control_bounds.upper - phase.control_bounds.lower
+    width = phase.control_bounds.upper - phase.control_bounds.lower
     with np.errstate(invalid="ignore"):
-        switched = jumps > (1 - AT_LIMIT) * span[:, None]
-    switched &= (np.isfinite(span) & (span > 0))[:, None]
-    k, i = np.nonzero(switched.T)
+        is_switch = jumps > (1 - AT_LIMIT) * width[:, None]
+    is_switch &= (np.isfinite(width) & (width > 0))[:, None]
+    k, i = np.nonzero(is_switch.T)
     return breaks[k], i
 
 
@@ -139,14 +139,14 @@ def _find_switching_function_zeros(s: PhaseSamples, sample: int) -> Indices:
     return np.flatnonzero(is_zero & (bounds.upper > bounds.lower))
 
 
-def _equalise_nearby_switch_times(times: Array, near: float, ends: Array) -> Array:
+def _equalise_nearby_switch_times(times: Array, tolerance: float, ends: Array) -> Array:
     """Return sorted times with nearly equal ones made equal, including the ends."""
     times = times.copy()
     for k in range(1, times.size):
-        if times[k] - times[k - 1] < near:
+        if times[k] - times[k - 1] < tolerance:
             times[k] = times[k - 1]
-    times[times - ends[0] < near] = ends[0]
-    times[ends[1] - times < near] = ends[1]
+    times[times - ends[0] < tolerance] = ends[0]
+    times[ends[1] - times < tolerance] = ends[1]
     return times
 
 
@@ -182,35 +182,35 @@ class SwitchUnknowns:
         scale: list[float] = []
         cost_changes: list[float] = []
         free: list[bool] = []
-        own: dict[str, Indices] = {}
-        starts: dict[str, Indices] = {}
+        columns_by_phase: dict[str, Indices] = {}
+        free_rows: dict[str, Indices] = {}
         for s in samples:
-            phase, begin = s.phase, len(labels)
-            starts[phase.name] = np.flatnonzero(~phase.initial_bounds.is_fixed)
+            phase, first_column = s.phase, len(labels)
+            free_rows[phase.name] = np.flatnonzero(~phase.initial_bounds.is_fixed)
             times = ("initial time", *switches[phase.name].labels, "final time")
             labels += [f"phase {phase.name}, {what}" for what in times]
-            labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in starts[phase.name]]
-            rows, start_scale = starts[phase.name], compute_state_ranges(s)[starts[phase.name]]
-            still = start_scale > s.state_scale[rows]
-            start_cost_changes = np.where(still, np.abs(s.lam[rows, 0]) * start_scale, 0.0)
+            labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in free_rows[phase.name]]
+            rows, start_scale = free_rows[phase.name], compute_state_ranges(s)[free_rows[phase.name]]
+            is_constant = start_scale > s.state_scale[rows]
+            start_cost_changes = np.where(is_constant, np.abs(s.lam[rows, 0]) * start_scale, 0.0)
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
-            least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
-            at_switches = np.maximum(largest, least)[switches[phase.name].channels]
+            floor = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
+            at_switches = np.maximum(largest, floor)[switches[phase.name].channels]
             cost_changes += list(s.span * np.pad(at_switches, 1, constant_values=s.hamiltonian_scale))
             cost_changes += list(np.maximum(s.cost_scale, start_cost_changes))
             free += [not phase.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
-            free += [not phase.final_time_bounds.is_fixed[0], *[True] * starts[phase.name].size]
-            own[phase.name] = np.arange(begin, len(labels))
+            free += [not phase.final_time_bounds.is_fixed[0], *[True] * free_rows[phase.name].size]
+            columns_by_phase[phase.name] = np.arange(first_column, len(labels))
         problem = solution.need_problem("verify")
-        shared = len(labels) + np.arange(solution.parameter_values.size)
+        common = len(labels) + np.arange(solution.parameter_values.size)
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
         scale += list(compute_parameter_scales(solution))
         free += list(~problem.get_parameter_bounds().is_fixed)
-        cost_changes += [max(s.cost_scale for s in samples)] * shared.size
-        places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
+        cost_changes += [max(s.cost_scale for s in samples)] * common.size
+        places = {name: np.concatenate([columns, common]) for name, columns in columns_by_phase.items()}
         sizes = np.asarray(scale), np.asarray(cost_changes)
-        return cls(tuple(labels), *sizes, places, starts, np.asarray(free, dtype=bool))
+        return cls(tuple(labels), *sizes, places, free_rows, np.asarray(free, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -267,16 +267,16 @@ class SwitchingTimeProblem:
             changes = _differentiate_boundary_states(samples, unknowns, flows)
         derivatives = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
         sizes = [(flows[s.phase.name], _count_augmented_states(s)) for s in samples]
-        both = [values[:size] for flow, size in sizes for values in (flow.initial, flow.final_state)]
-        arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
+        boundary = [values[:size] for flow, size in sizes for values in (flow.initial, flow.final_state)]
+        arguments = (*boundary, *(s.functions.p for s in samples), solution.parameter_values)
 
         def evaluate_derivatives(nu: Array) -> tuple[Array, ...]:
             return tuple(v.full() for v in derivatives(*arguments, nu))
 
         n_constraints = solution.constraint_multipliers.size
         slope, jacobian, _ = evaluate_derivatives(np.zeros(n_constraints))
-        of_ends = jacobian @ changes
-        conditions = _collect_boundary_conditions(solution, samples, ends, unknowns, changes, of_ends)
+        by_unknowns = jacobian @ changes
+        conditions = _collect_boundary_conditions(solution, samples, ends, unknowns, changes, by_unknowns)
         gradient = slope.ravel() @ changes
         return cls(
             unknowns, gradient, conditions, samples, flows, evaluate_derivatives, changes, n_constraints
@@ -299,9 +299,9 @@ class SwitchingTimeProblem:
             adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
-            places, term = self.unknowns.places[s.phase.name], np.zeros_like(terms[0])
-            scale = self.unknowns.scale[places]
-            term[np.ix_(places, places)] = flow.compute_adjoint_hessian(adjoint) * np.outer(scale, scale)
+            indices, term = self.unknowns.places[s.phase.name], np.zeros_like(terms[0])
+            scale = self.unknowns.scale[indices]
+            term[np.ix_(indices, indices)] = flow.compute_adjoint_hessian(adjoint) * np.outer(scale, scale)
             terms.append(term)
             row, state = row + 2 * size, state + n
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
@@ -313,12 +313,12 @@ def _choose_integration_grid(
     """Return the step refinement with which the flow reaches the final state of the solution, and the flow."""
     end = s.phase.x(s.phase.breaks[-1])
     flows = []
-    for finer in GRIDS:
-        flows.append(integrate_bang_bang_flow(problem, s, pieces, free_start, finer))
+    for refinement in GRIDS:
+        flows.append(integrate_bang_bang_flow(problem, s, pieces, free_start, refinement))
         if np.all(np.abs(flows[-1].final_state[: end.size] - end) < SMALL * s.state_scale):
-            return finer, flows[-1]
-    which = 0 if np.isfinite(flows[0].final_state).all() else -1
-    return GRIDS[which], flows[which]
+            return refinement, flows[-1]
+    chosen = 0 if np.isfinite(flows[0].final_state).all() else -1
+    return GRIDS[chosen], flows[chosen]
 
 
 def _count_augmented_states(s: PhaseSamples) -> int:
@@ -335,8 +335,8 @@ def _differentiate_boundary_states(
             block = np.zeros((_count_augmented_states(s), unknowns.scale.size))
             block[:, places] = sensitivity[: _count_augmented_states(s)] * unknowns.scale[places]
             rows.append(block)
-    shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
-    rows.append(np.diag(unknowns.scale)[shared])
+    parameters = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
+    rows.append(np.diag(unknowns.scale)[parameters])
     return np.vstack(rows)
 
 
@@ -349,14 +349,14 @@ def _collect_boundary_conditions(
     of_constraints: Array,
 ) -> EndConditions:
     problem = solution.need_problem("verify")
-    at_end: list[EndConditions] = []
+    of_states: list[EndConditions] = []
     others: list[EndConditions] = []
     row = 0
     for s in samples:
         phase, name, size, n = s.phase, s.phase.name, _count_augmented_states(s), s.phase.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         limits = intersect_bounds(phase.final_bounds, phase.state_bounds)
-        at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
+        of_states.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
         rows, limits = unknowns.free_start[name], intersect_bounds(phase.initial_bounds, phase.state_bounds)
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
         others.append(EndConditions(s.x[rows, 0], limits.select_components(rows), start[rows], multipliers))
@@ -366,15 +366,15 @@ def _collect_boundary_conditions(
         others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
     limits, multipliers = problem.get_boundary_constraint_bounds(), solution.constraint_multipliers
-    at_end.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
+    of_states.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
     q = solution.parameter_values
     others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
-    parts = [*at_end, *others]
+    all_conditions = [*of_states, *others]
     return EndConditions(
-        np.concatenate([rows.values for rows in parts]),
-        stack_intervals([rows.limits for rows in parts]),
-        np.vstack([rows.jacobian for rows in parts]),
-        np.concatenate([rows.multipliers for rows in parts]),
+        np.concatenate([rows.values for rows in all_conditions]),
+        stack_intervals([rows.limits for rows in all_conditions]),
+        np.vstack([rows.jacobian for rows in all_conditions]),
+        np.concatenate([rows.multipliers for rows in all_conditions]),
     )
 
 
@@ -393,8 +393,8 @@ def build_endpoint_derivative_function(problem: Problem) -> Any:
         parameters.append(p)
     q, nu = (ca.SX.sym("v", ends.size1_in(6 * len(problem.phases) + i)) for i in range(2))
     cost, constraints, *_ = ends(*arguments, q, nu)
-    both = [v for pair in zip(starts, finals, strict=True) for v in pair]
-    varied = ca.vertcat(*both, q)
-    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), varied)
-    jacobian = ca.jacobian(constraints, varied)
-    return ca.Function("end_derivatives", [*both, *parameters, q, nu], [gradient, jacobian, hessian])
+    boundary = [v for pair in zip(starts, finals, strict=True) for v in pair]
+    variables = ca.vertcat(*boundary, q)
+    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), variables)
+    jacobian = ca.jacobian(constraints, variables)
+    return ca.Function("end_derivatives", [*boundary, *parameters, q, nu], [gradient, jacobian, hessian])

@@ -73,7 +73,7 @@ class FittedPhase:
         if parts == 1:
             return self
         breaks, fractions = (
-            subdivide_intervals(b, parts) for b in (self.x.breaks, np.asarray(self.mesh.breaks))
+            subdivide_intervals(edges, parts) for edges in (self.x.breaks, np.asarray(self.mesh.breaks))
         )
         mesh = Mesh(
             tuple(map(float, fractions)),
@@ -83,12 +83,12 @@ class FittedPhase:
         return FittedPhase(mesh, *(_subdivide_polynomials(p, breaks, parts) for p in (self.x, self.u)))
 
 
-def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
+def _subdivide_polynomials(polynomial: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """Return the same polynomials with values at the nodes of every part of their segments."""
-    nodes = whole.nodes[0]  # of all segments
-    places = [(2 * k + 1 + nodes) / parts - 1 for k in range(parts)]
-    matrices = [build_lagrange_interpolation_matrix(nodes, at).T for at in places]
-    values = tuple(own @ matrix for own in whole.values for matrix in matrices)
+    nodes = polynomial.nodes[0]  # of all segments
+    nodes_of_parts = [(2 * k + 1 + nodes) / parts - 1 for k in range(parts)]
+    matrices = [build_lagrange_interpolation_matrix(nodes, points).T for points in nodes_of_parts]
+    values = tuple(piece @ matrix for piece in polynomial.values for matrix in matrices)
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
 
@@ -97,13 +97,13 @@ def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates, least: Array
 
     Smaller changes of the controls than ``least`` (n_controls,) are neither jumps nor kinks, but rounding errors.
     """
-    twice, n_controls = np.flatnonzero(np.diff(samples.t) == 0), samples.u.shape[0]
+    repeated, n_controls = np.flatnonzero(np.diff(samples.t) == 0), samples.u.shape[0]
     floors = np.broadcast_to(least, n_controls)
     visible = np.fmax(SMALL * np.ptp(samples.u, axis=1), floors)
-    sizes = np.abs(samples.u[:, twice + 1] - samples.u[:, twice])
+    jump_sizes = np.abs(samples.u[:, repeated + 1] - samples.u[:, repeated])
     jumps = [
-        _Jump(int(i), float(samples.t[i]), tuple(range(n_controls)), of_slope=not here)
-        for i, here in zip(twice, np.any(sizes > visible[:, None], axis=0), strict=True)
+        _Jump(int(i), float(samples.t[i]), tuple(range(n_controls)), of_slope=not is_jump)
+        for i, is_jump in zip(repeated, np.any(jump_sizes > visible[:, None], axis=0), strict=True)
     ]
     unmarked = _find_control_jumps_between_samples(samples, visible)
     jumps += unmarked
@@ -130,15 +130,15 @@ class _Jump:
 
 
 def _find_control_jumps_between_samples(samples: SampledPhase, visible: Array) -> list[_Jump]:
-    t, long = samples.t, np.flatnonzero(np.diff(samples.t) > 0)
+    t, steps = samples.t, np.flatnonzero(np.diff(samples.t) > 0)
     if t.size <= 3:  # too few samples
         return []
-    size = np.abs(np.diff(samples.u, axis=1))[:, long]
-    around = np.pad(size, ((0, 0), (1, 1)))
-    beside = np.maximum(around[:, :-2], around[:, 2:])
-    channels, at = np.nonzero((size > visible[:, None]) & (size > JUMP_MIN_RATIO * beside))
+    change = np.abs(np.diff(samples.u, axis=1))[:, steps]
+    padded = np.pad(change, ((0, 0), (1, 1)))
+    neighbours = np.maximum(padded[:, :-2], padded[:, 2:])
+    channels, k = np.nonzero((change > visible[:, None]) & (change > JUMP_MIN_RATIO * neighbours))
     middles = compute_interval_midpoints(t)
-    return [_Jump(int(i), float(middles[i]), (int(c),)) for c, i in zip(channels, long[at], strict=True)]
+    return [_Jump(int(i), float(middles[i]), (int(c),)) for c, i in zip(channels, steps[k], strict=True)]
 
 
 def _find_control_kinks(t: Array, u: Array, first: int, channel: int, least: float) -> list[_Jump]:
@@ -146,28 +146,29 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int, least: flo
     if t.size < _KNOWN_BESIDE:
         return []
     slopes = np.diff(u) / np.diff(t)
-    turn, beside = np.abs(slopes[4:-1] - slopes[2:-3]), np.abs(np.diff(slopes))
-    visible = turn * np.diff(t)[3:-2] > max(SMALL * np.ptp(u), least)
-    at = 3 + np.flatnonzero(visible & (turn > JUMP_MIN_RATIO * np.maximum(beside[1:-3], beside[4:])))
-    at = at[np.append(np.diff(at) > 1, True)[: at.size]]  # the second of two with a kink at the common sample
-    found, start = [], 0
-    for k, end in zip(at, np.append(at[1:] + 1, t.size), strict=False):
+    jump, changes = np.abs(slopes[4:-1] - slopes[2:-3]), np.abs(np.diff(slopes))
+    visible = jump * np.diff(t)[3:-2] > max(SMALL * np.ptp(u), least)
+    after = 3 + np.flatnonzero(visible & (jump > JUMP_MIN_RATIO * np.maximum(changes[1:-3], changes[4:])))
+    # The second of two with a kink at the common sample.
+    after = after[np.append(np.diff(after) > 1, True)[: after.size]]
+    kinks, start = [], 0
+    for k, end in zip(after, np.append(after[1:] + 1, t.size), strict=False):
         left = _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0]
         right = _build_control_interpolants(t[k + 1 : end], u[k + 1 : end])[0]
         slack = NEGLIGIBLE * float(np.ptp(u))
         time = _find_curve_intersection(left, right, float(t[k]), float(t[k + 1]), slack)
         if time is not None:
-            found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
+            kinks.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
-    return found
+    return kinks
 
 
 def _find_curve_intersection(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
-    gaps = {end: float(left(end) - right(end)) for end in (first, last)}
-    for end, gap in gaps.items():
-        if abs(gap) <= slack:
+    differences = {end: float(left(end) - right(end)) for end in (first, last)}
+    for end, difference in differences.items():
+        if abs(difference) <= slack:
             return end
-    if gaps[first] * gaps[last] > 0:
+    if differences[first] * differences[last] > 0:
         return None
     return float(scipy.optimize.brentq(lambda time: float(left(time) - right(time)), first, last))
 
@@ -179,8 +180,8 @@ class _ControlFit:
         self._jumps = [[j for j in jumps if c in j.channels] for c in range(samples.u.shape[0])]
         self._times, self._kinked = samples.t, np.zeros(samples.t.size - 1, dtype=bool)
         self._pieces = []
-        for c, own in enumerate(self._jumps):
-            edges = [0, *(j.after + 1 for j in own), samples.t.size]
+        for c, channel_jumps in enumerate(self._jumps):
+            edges = [0, *(j.after + 1 for j in channel_jumps), samples.t.size]
             pairs = itertools.pairwise(edges)
             self._pieces.append(
                 [_build_control_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs]
@@ -194,22 +195,22 @@ class _ControlFit:
         for c, pieces in enumerate(self._pieces):
             chosen = np.searchsorted([j.time for j in self._jumps[c]], middles)
             for k in np.unique(chosen):
-                for which, interpolant in enumerate(pieces[k]):
-                    here = (chosen == k) & (kinked == bool(which))
-                    values[c, here] = interpolant(times[here])
+                for spline, interpolant in enumerate(pieces[k]):
+                    columns = (chosen == k) & (kinked == bool(spline))
+                    values[c, columns] = interpolant(times[columns])
         return values
 
     def choose_control_interpolation(self, samples: SampledPhase, rates: Rates) -> None:
         """Select Akima splines where the states agree much better with them, relative to their median errors."""
-        long = np.flatnonzero(np.diff(samples.t) > 0)
+        steps = np.flatnonzero(np.diff(samples.t) > 0)
         errors = []
         for kinked in (False, True):
             self._kinked[:] = kinked
-            ends = _propagate_states(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
-            errors.append(np.abs(ends - samples.x[:, long + 1]))
-        size = np.fmax(np.median(errors[0], axis=1), ROUNDING * np.max(np.abs(samples.x), axis=1)) + TINY
-        misses = [np.max(error / size[:, None], axis=0) for error in errors]
-        self._kinked[long] = misses[1] < KINK_ERROR_RATIO * misses[0]
+            ends = _propagate_states(samples.x[:, steps], samples.t[steps], samples.t[steps + 1], self, rates)
+            errors.append(np.abs(ends - samples.x[:, steps + 1]))
+        typical = np.fmax(np.median(errors[0], axis=1), ROUNDING * np.max(np.abs(samples.x), axis=1)) + TINY
+        relative_errors = [np.max(error / typical[:, None], axis=0) for error in errors]
+        self._kinked[steps] = relative_errors[1] < KINK_ERROR_RATIO * relative_errors[0]
 
 
 def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
@@ -226,7 +227,7 @@ def _refine_control_jump_times(
     """Move jumps between two samples to the time at which the dynamics connect the states."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
-    size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
+    magnitude = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
 
     def compute_propagation_error(times: Array) -> Array:
         for jump, time in zip(jumps, times, strict=True):
@@ -235,11 +236,11 @@ def _refine_control_jump_times(
         x = samples.x[:, i]
         for a, b in itertools.pairwise(ends):
             x = _propagate_states(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
-        error = (x - samples.x[:, i + 1]) / size
+        error = (x - samples.x[:, i + 1]) / magnitude
         return np.asarray(np.nan_to_num(error, nan=_LOST, posinf=_LOST, neginf=-_LOST))
 
     start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
-    found = scipy.optimize.least_squares(
+    fit = scipy.optimize.least_squares(
         compute_propagation_error,
         start,
         bounds=(first, last),
@@ -249,9 +250,9 @@ def _refine_control_jump_times(
         gtol=1e-15,
     )
     slack = NEGLIGIBLE * (last - first)
-    for jump, time in zip(jumps, found.x, strict=True):
-        near = time - first < slack, last - time < slack
-        jump.time = first if near[0] else last if near[1] else float(time)
+    for jump, time in zip(jumps, fit.x, strict=True):
+        is_at_end = time - first < slack, last - time < slack
+        jump.time = first if is_at_end[0] else last if is_at_end[1] else float(time)
 
 
 def _propagate_states(x: Array, a: Array, b: Array, controls: _ControlFit, rates: Rates) -> Array:
@@ -268,15 +269,15 @@ def _fit_polynomials(
     samples: SampledPhase, controls: _ControlFit, jumps: list[_Jump], rates: Rates
 ) -> FittedPhase:
     t, x = samples.t, samples.x
-    inner = [j for j in jumps if not np.any(t == j.time)]
-    times = np.unique([*t, *(j.time for j in inner)])
+    between_samples = [j for j in jumps if not np.any(t == j.time)]
+    times = np.unique([*t, *(j.time for j in between_samples)])
     before, after = np.empty((x.shape[0], times.size)), np.empty((x.shape[0], times.size))
     before[:, np.searchsorted(times, t[::-1])] = x[:, ::-1]  # the first one of a repeated time
     after[:, np.searchsorted(times, t)] = x
-    for time in dict.fromkeys(j.time for j in inner):
+    for time in dict.fromkeys(j.time for j in between_samples):
         k = int(np.searchsorted(times, time))
-        here = _propagate_states(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
-        before[:, [k]] = after[:, [k]] = here
+        state = _propagate_states(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
+        before[:, [k]] = after[:, [k]] = state
     widths, middles = np.diff(times), compute_interval_midpoints(times)
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
@@ -292,8 +293,8 @@ def _fit_polynomials(
     points = (times[:-1] + 0.5 * widths * (1 + rule.points)[:, None]).ravel()
     values = controls(points, np.tile(middles, rule.points.size)).reshape(-1, rule.points.size, widths.size)
     count = range(widths.size)
-    at = {int(np.searchsorted(times, j.time)) for j in jumps if not j.of_slope}
-    movable = tuple(sorted(at & set(range(1, times.size - 1))))
+    jump_breaks = {int(np.searchsorted(times, j.time)) for j in jumps if not j.of_slope}
+    movable = tuple(sorted(jump_breaks & set(range(1, times.size - 1))))
     fractions = (times - times[0]) / (times[-1] - times[0])
     return FittedPhase(
         Mesh(tuple(fractions), (DEGREE,) * widths.size, movable),

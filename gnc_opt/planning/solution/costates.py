@@ -170,16 +170,11 @@ class PhaseCostates:
 
     @classmethod
     def from_multipliers(
-        cls,
-        collocation: PhaseCollocation,
-        iterate: NlpIterate,
-        weights: Array,
-        gradient: Array,
-        pure_part: Array,
+        cls, collocation: PhaseCollocation, iterate: NlpIterate, weights: Array, gradient: Array, pure: Array
     ) -> PhaseCostates:
         """Return the costates and state bound multipliers of a phase.
 
-        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``pure_part`` the contribution of pure state path
+        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``pure`` the contribution of pure state path
         constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
@@ -189,12 +184,12 @@ class PhaseCostates:
         densities = np.where(at_boundary, 0.0, multipliers)
         # At the end of a phase a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
-        decay = gradient - np.where(at_break, pure_part, 0.0) + densities
+        decay = gradient - np.where(at_break, pure, 0.0) + densities
         start, end = _compute_boundary_costates(collocation, lam_g, weights * decay)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
         spans = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(at_boundary & ~at_break, 0.0, multipliers)) * spans > NEGLIGIBLE * size
-        nonzero = bounded | (np.abs(pure_part) * spans > NEGLIGIBLE * size)
+        nonzero = bounded | (np.abs(pure) * spans > NEGLIGIBLE * size)
         active = _mask_segments_with_multipliers(collocation, nonzero, at_boundary)
         segments = range(collocation.mesh.segments)
         variations = [np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in segments]

@@ -198,7 +198,9 @@ class KktPoint:
 
     def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
-        self.program = ProgramPoint.from_solution(solution, held=partial(impose_touch_points, with_arcs=True))
+        self.program = ProgramPoint.from_solution(
+            solution, impose=partial(impose_touch_points, with_arcs=True)
+        )
         return self._solve_kkt_by_newton() or self._describe_active_set_error()
 
     def _solve_kkt_by_newton(self) -> str:

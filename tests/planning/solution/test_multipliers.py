@@ -276,7 +276,7 @@ def test_other_scales_are_those_that_are_asked_for() -> None:
     def twos(transcription: Any, problem: go.Problem, x: Any) -> Any:
         return np.full(x.size, 2.0)
 
-    here = ProgramPoint.from_solution(solution, scaled_by=twos)
+    here = ProgramPoint.from_solution(solution, choose_scales=twos)
     times = here.transcription.parts["leg"].times
     assert here.scaling.variables.tolist() == [2.0] * here.x.size
     assert here.x[times[-1]] == pytest.approx(solution.phase().final_time / 2)
