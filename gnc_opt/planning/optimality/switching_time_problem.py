@@ -154,7 +154,7 @@ GRIDS = (1, 2, 4, 8, 16, 32)
 """Largest refinement of the flow's steps until it reaches the final state of the solution. Order and error of an
 integration are known only if it resolves the dynamics."""
 
-NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
+DYNAMICS_TOO_FAST = "dynamics too fast for the finest steps of the flow from switch to switch"
 """Reason why a condition on the induced problem is not checked."""
 
 

@@ -45,31 +45,31 @@ def compute_touch_point_lagrangian(
     ``functions`` contain the parameters of each column; the last column is the reference trajectory. The part
     of the jump that no active limit explains is multiplied by the change of the states.
     """
-    rows, count = StateConstraints(problem, s), x.shape[1]
+    rows, n_columns = StateConstraints(problem, s), x.shape[1]
     shifted = StateConstraints(problem, replace(s, functions=functions))
-    t, moved = np.full(count, time), x - x[:, -1:]
+    t, change = np.full(n_columns, time), x - x[:, -1:]
     before, after = (
-        np.repeat(s.phase.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
+        np.repeat(s.phase.applied(time, side)[:, None], n_columns, axis=1) for side in ("left", "right")
     )
     values = shifted.evaluate_constraints(t, x, after)
-    near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
-    active = [int(i) for i in np.flatnonzero(near) if rows.get_order_of_constraint_contact(int(i))]
+    at_limit = np.any(rows.is_near_limits(values)[..., -1], axis=0)
+    active = [int(i) for i in np.flatnonzero(at_limit) if rows.get_order_of_constraint_contact(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
     multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale, rcond=None)[0]
-    terms = (jump - multipliers @ gradients) @ moved
+    lagrangian = (jump - multipliers @ gradients) @ change
     for i, eta in zip(active, multipliers, strict=True):
-        terms += eta * (values[i] - values[i, -1])
+        lagrangian += eta * (values[i] - values[i, -1])
         if rows.get_order_of_constraint_contact(i) < 2:
             continue
         slope = shifted.evaluate_time_derivative(i, 1, t, x, after)
         slope -= slope[-1]
-        bend = np.where(
+        second_rate = np.where(
             eta * slope > 0, *(shifted.evaluate_time_derivative(i, 2, t, x, u) for u in (after, before))
         )
-        if np.all(-np.sign(eta) * bend * s.span**2 > SMALL * rows.row_scales[i]):
-            terms -= eta * slope**2 / (2 * bend)
-    return np.asarray(terms)
+        if np.all(-np.sign(eta) * second_rate * s.span**2 > SMALL * rows.row_scales[i]):
+            lagrangian -= eta * slope**2 / (2 * second_rate)
+    return np.asarray(lagrangian)
 
 
 def mask_limits_with_multipliers(s: PhaseSamples, times: Array) -> Mask:
@@ -81,24 +81,24 @@ def mask_limits_with_multipliers(s: PhaseSamples, times: Array) -> Mask:
 
 def mask_controls_set_by_active_limits(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control (m, n_times)."""
-    held = np.zeros((s.phase.controls.size, times.size), dtype=bool)
-    for row, acting in enumerate(mask_limits_with_multipliers(s, times)):
-        if np.any(acting):
-            held[list(get_constraint_order(problem, problem.phases[s.phase.name], row).controls)] |= acting
-    return held
+    mask = np.zeros((s.phase.controls.size, times.size), dtype=bool)
+    for row, active in enumerate(mask_limits_with_multipliers(s, times)):
+        if np.any(active):
+            mask[list(get_constraint_order(problem, problem.phases[s.phase.name], row).controls)] |= active
+    return mask
 
 
 def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
-    chosen = edges[1:-1]
-    chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
-    if not chosen.size or not np.any(acting := mask_limits_with_multipliers(s, chosen)):
+    times = edges[1:-1]
+    times = times[:: max(1, times.size // ACTIVE_LIMIT_TIMES)]
+    if not times.size or not np.any(active := mask_limits_with_multipliers(s, times)):
         return {}
-    phase, found = s.phase, {}
-    units = np.repeat(np.eye(phase.states.size)[:, :, None], chosen.size, axis=2)
-    by_path = s.functions.path_state_jacobian(chosen, phase.x(chosen), phase.applied(chosen))
-    density = np.vstack([phase.path_multiplier(chosen), phase.state_multiplier(chosen)])
+    phase, by_time = s.phase, {}
+    units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
+    by_path = s.functions.path_state_jacobian(times, phase.x(times), phase.applied(times))
+    density = np.vstack([phase.path_multiplier(times), phase.state_multiplier(times)])
     gradients = np.concatenate([by_path, units]) * (s.span / s.cost_scale * density)[:, None]
-    for k in np.flatnonzero(np.any(acting, axis=0)):
-        found[float(chosen[k])] = list(gradients[acting[:, k], :, k])
-    return found
+    for k in np.flatnonzero(np.any(active, axis=0)):
+        by_time[float(times[k])] = list(gradients[active[:, k], :, k])
+    return by_time

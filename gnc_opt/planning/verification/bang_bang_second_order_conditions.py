@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -37,7 +38,7 @@ from gnc_opt.numerical_tolerances import (
 )
 from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
 from gnc_opt.planning.optimality.switching_time_problem import (
-    NOT_FLOWN,
+    DYNAMICS_TOO_FAST,
     Switches,
     SwitchingTimeProblem,
     SwitchUnknowns,
@@ -65,16 +66,16 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
         f"switch has the wrong sign by more than {NEGLIGIBLE:.0e} of H; smaller values are errors of the costates."
     )
     worst = min(filter(None, map(_find_worst_switching_function_sign, samples)), default=None)
-    touched = next(filter(None, map(_find_switching_function_touching_zero, samples)), "")
-    name, least = "strict switches", np.inf if worst is None else worst.slope
-    if touched and (worst is None or not worst.is_sign_violation):
-        return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
+    touching = next(filter(None, map(_find_switching_function_touching_zero, samples)), "")
+    name, smallest_slope = "strict switches", np.inf if worst is None else worst.slope
+    if touching and (worst is None or not worst.is_sign_violation):
+        return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touching, meaning, sufficient=True)
     if worst is None:
         return Condition(
             name, ConditionResult.PASS, 0.0, 0.0, "no switch between control limits", meaning, sufficient=True
         )
-    result = combine_condition_results(least > NEGLIGIBLE, worst.is_sign_violation)
-    return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
+    result = combine_condition_results(smallest_slope > NEGLIGIBLE, worst.is_sign_violation)
+    return Condition(name, result, -smallest_slope, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
 @dataclass(frozen=True, order=True)
@@ -99,15 +100,15 @@ def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZe
     steps = JUNCTION_OFFSET_SHARE * np.minimum(
         times - phase.breaks[neighbours - 1], phase.breaks[neighbours + 1] - times
     )
-    beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
-    at = beside, phase.x(beside), phase.applied(beside), phase.lam(beside), phase.path_multiplier(beside)
-    values = differentiate_augmented_hamiltonian(s, *at)
+    near = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
+    arguments = near, phase.x(near), phase.applied(near), phase.lam(near), phase.path_multiplier(near)
+    values = differentiate_augmented_hamiltonian(s, *arguments)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * phase.duration / s.hamiltonian_scale
-    falls = np.sign(phase.applied(times, "left") - phase.applied(times))[channels, np.arange(times.size)]
-    signed = np.min(falls * slopes * unit, axis=0)
-    found = []
+    direction = np.sign(phase.applied(times, "left") - phase.applied(times))[channels, np.arange(times.size)]
+    signed = np.min(direction * slopes * unit, axis=0)
+    zeros = []
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = s.describe_time(t, phase.controls.labels[i])
         violation = _compute_switching_sign_violation(s, int(i), times[channels == i], float(t))
@@ -115,18 +116,18 @@ def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZe
         harmless = bool(slope >= -NEGLIGIBLE or (-np.inf < slope and violation <= NEGLIGIBLE))
         if harmless and slope < -NEGLIGIBLE:
             where += f": the wrong sign, but only by {violation:.1e} of H"
-        found.append(_SwitchingFunctionZero(harmless, float(slope), where))
-    return min(found)
+        zeros.append(_SwitchingFunctionZero(harmless, float(slope), where))
+    return min(zeros)
 
 
-def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) -> float:
+def _compute_switching_sign_violation(s: PhaseSamples, i: int, times: Array, time: float) -> float:
     """Return the largest wrong-sign value of a switching function between the adjacent switches, relative to H."""
-    before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
-    near = (s.times >= before) & (s.times <= after)
+    before, after = np.max(times[times < time], initial=-np.inf), np.min(times[times > time], initial=np.inf)
+    inside = (s.times >= before) & (s.times <= after)
     bounds = s.phase.control_bounds
-    side = np.sign(s.u[i, near] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
+    sign = np.sign(s.u[i, inside] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
     return float(
-        np.max(side * _evaluate_switching_functions(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale)
+        np.max(sign * _evaluate_switching_functions(s)[i, inside] * s.control_scale[i] / s.hamiltonian_scale)
     )
 
 
@@ -137,15 +138,15 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 def _find_switching_function_touching_zero(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
     slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds, on_bound = s.phase.control_bounds, np.any(s.is_at_control_bounds, axis=0)
-    affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(on_bound, axis=1)
-    distinct = np.unique(s.times, return_index=True)[1]  # at segment boundaries, rounding would be a minimum
+    bounds, at_bound = s.phase.control_bounds, np.any(s.is_at_control_bounds, axis=0)
+    affine = np.all(mask_zero_hamiltonian_curvature(s), axis=1) | np.all(at_bound, axis=1)
+    unique = np.unique(s.times, return_index=True)[1]  # at segment boundaries, rounding would be a minimum
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
-        ends = np.concatenate([s.times[[0, -1]], times[channels == i], s.times[~on_bound[i]]])
-        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
-        here, inner = slopes[i, distinct], distinct[1:-1]
-        lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
-        touching = inner[lowest & away[inner] & on_bound[i, inner]]
+        ends = np.concatenate([s.times[[0, -1]], times[channels == i], s.times[~at_bound[i]]])
+        is_distant = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
+        values, inner_samples = slopes[i, unique], unique[1:-1]
+        lowest = (values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:]) & (values[1:-1] < NEGLIGIBLE)
+        touching = inner_samples[lowest & is_distant[inner_samples] & at_bound[i, inner_samples]]
         if touching.size:
             return f"{s.describe_sample(int(touching[0]), s.phase.controls.labels[i])}: zero between switches"
     return ""
@@ -183,39 +184,32 @@ def check_bang_bang_second_order(
         "simultaneous switches. The margin is the smallest eigenvalue, relative to its terms. If it is negative, the "
         "cost decreases along its eigenvector. If it is below its numerical error, the result is inconclusive."
     )
-
-    def make_second_order_condition(
-        result: ConditionResult, value: float, tolerance: float, where: str
-    ) -> Condition:
-        return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
-
+    condition = partial(Condition, "second order", meaning=meaning, sufficient=True)
     switches = {s.phase.name: Switches.from_samples(s) for s in samples}
     if np.prod([float(s.n_switch_sequences) for s in switches.values()]) > MOST_ORDERS:
         reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
-        return make_second_order_condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
+        return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    every = itertools.product(*(s.list_switch_sequences() for s in switches.values()))
-    found = [
+    sequences = itertools.product(*(s.list_switch_sequences() for s in switches.values()))
+    results = [
         _check_second_order_of_switch_sequence(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
         )
-        for orders in every
+        for orders in sequences
     ]
-    worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
+    worst = min(results, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{pluralise_noun(worst.freedom, 'degree')} of freedom of the switching times"
     if worst.freedom == 0:
         place = "no degree of freedom: the end conditions determine the switching times"
-    elif len(found) > 1:
-        place += f", {len(found)} orders of simultaneous switches"
+    elif len(results) > 1:
+        place += f", {len(results)} orders of simultaneous switches"
     if worst.condition_result is ConditionResult.INCONCLUSIVE:
         small = abs(worst.least) <= worst.error
         place += ": the curvature is within its error" if small else ": negative, but limits may exclude it"
-        place = NOT_FLOWN if np.isnan(worst.least) else place
+        place = DYNAMICS_TOO_FAST if np.isnan(worst.least) else place
     phases = ", ".join(s.phase.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    return make_second_order_condition(
-        worst.condition_result, value, -worst.error, f"phase {phases}: {place}"
-    )
+    return condition(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
 
 
 def _check_second_order_of_switch_sequence(
@@ -244,29 +238,29 @@ def _check_second_order_of_switch_sequence(
     residual, precedence_multipliers = _fit_switch_order_multipliers(
         gradient[free] + rows.T @ multipliers, precedences
     )
-    every = np.zeros(conditions.values.size)
-    every[active] = multipliers / norms
+    all_multipliers = np.zeros(conditions.values.size)
+    all_multipliers[active] = multipliers / norms
     # Conditions and orders without a multiplier only restrict directions to a half-space.
     strong = (sides == 0) | (np.abs(multipliers) > AT_LIMIT * cost)
-    kept = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
-    sided = np.vstack(
+    equal = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
+    half_spaces = np.vstack(
         [-sides[~strong, None] * rows[~strong], precedences[precedence_multipliers <= AT_LIMIT * cost]]
     )
-    null = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(kept.shape[1])
-    if not null.shape[1]:
+    basis = scipy.linalg.null_space(equal, rcond=RANK) if np.any(equal) else np.eye(equal.shape[1])
+    if not basis.shape[1]:
         return SecondOrderResult(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = (
-        fine.compute_lagrangian_hessian(every),
-        coarse.compute_lagrangian_hessian(every),
+        fine.compute_lagrangian_hessian(all_multipliers),
+        coarse.compute_lagrangian_hessian(all_multipliers),
     )
     hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
-    reduced = null.T @ hessian @ null
+    reduced = basis.T @ hessian @ basis
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
     error += EQUAL + float(np.max(np.abs(residual) / unknowns.cost_changes[free]))
-    keeps = sided @ (null @ vectors[:, 0])
-    attained = bool(np.all(keeps >= -AT_LIMIT) or np.all(keeps <= AT_LIMIT))
-    return SecondOrderResult(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
+    changes = half_spaces @ (basis @ vectors[:, 0])
+    attained = bool(np.all(changes >= -AT_LIMIT) or np.all(changes <= AT_LIMIT))
+    return SecondOrderResult(float(eigenvalues[0]) / (size + cost), error, basis.shape[1], attained)
 
 
 def estimate_nearest_multipliers(
@@ -299,9 +293,9 @@ def _build_switch_order_constraints(
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
-        own = switches[name].build_switch_sequence_constraints(order)
-        block = np.zeros((own.shape[0], unknowns.scale.size))
-        block[:, unknowns.places[name][: own.shape[1]]] = own
+        constraints = switches[name].build_switch_sequence_constraints(order)
+        block = np.zeros((constraints.shape[0], unknowns.scale.size))
+        block[:, unknowns.places[name][: constraints.shape[1]]] = constraints
         rows.append(block)
     return np.vstack(rows)
 
@@ -324,9 +318,9 @@ def explain_why_not_bang_bang(samples: list[PhaseSamples]) -> str:
     for s in samples:
         if not s.has_duration:
             return f"phase {s.phase.name} has no length"
-        on_bound = np.any(s.is_at_control_bounds, axis=0)
-        if not np.all(on_bound):
-            i, j = np.argwhere(~on_bound)[0]
+        at_bound = np.any(s.is_at_control_bounds, axis=0)
+        if not np.all(at_bound):
+            i, j = np.argwhere(~at_bound)[0]
             return f"{s.describe_sample(j, s.phase.controls.labels[i])}: the control is between its limits"
         if max_norm(s.phase.path_multipliers) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.phase.name}: a path constraint is active"

@@ -52,11 +52,11 @@ def impose_constraints_active_at_ends(
 ) -> tuple[Solution, EndGradients]:
     """Return the solution and its end gradients, with these constraints as boundary constraints with multipliers."""
     active = [(s, end, at, _find_constraints_active_at_end(s, at)) for s in samples for end, at in ENDS]
-    met = [found for found in active if found[-1].size]
-    if not met:
+    nonempty = [found for found in active if found[-1].size]
+    if not nonempty:
         return solution, ends
-    problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
-    for s, end, at, rows in met:
+    problem, multipliers = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
+    for s, end, at, rows in nonempty:
         phase = problem.phases[s.phase.name]
         box = phase.get_path_bounds()
         for row in rows:
@@ -65,12 +65,12 @@ def impose_constraints_active_at_ends(
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(explain_transversality_residual(s, at, ends).multipliers[rows])
+        multipliers.append(explain_transversality_residual(s, at, ends).multipliers[rows])
     problem.clear_cache()
     stated = replace(
         solution,
         problem=problem,
-        constraint_multipliers=np.concatenate(pushes),
+        constraint_multipliers=np.concatenate(multipliers),
         constraint_labels=problem.constraint_labels(),
     )
     return stated, get_endpoint_gradients(stated)
@@ -81,9 +81,9 @@ def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     phase, pure = s.phase, s.pure_state_constraints
     end, point = s.times[[at]], phase.point_times[[at]]
     values = np.hstack([s.functions.path_constraints(t, phase.x(t), phase.applied(t)) for t in (end, point)])
-    near = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
-    near &= ~phase.path_bounds.is_fixed[:, None]
-    return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
+    at_limit = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
+    at_limit &= ~phase.path_bounds.is_fixed[:, None]
+    return np.asarray(pure[at_limit[pure, 0] & ~at_limit[pure, 1]])
 
 
 def _express_path_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
@@ -104,18 +104,18 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
                 share, _evaluate_costate_residuals(s, _remove_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
-        place = s.describe_segment(
+        where = s.describe_segment(
             k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], along.radius)}"
         )
-        worst = worst.select_larger(Worst(float(share[k]), place))
+        worst = worst.select_larger(Worst(float(share[k]), where))
         if s.phase.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
             share = along.support_function(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             label = _find_state_of_costliest_gradient(s, jumps[:, k], along.radius)
-            place = s.describe_time(s.phase.breaks[k + 1], f"jump of the costate of {label}")
-            worst = worst.select_larger(Worst(float(share[k]), place))
+            where = s.describe_time(s.phase.breaks[k + 1], f"jump of the costate of {label}")
+            worst = worst.select_larger(Worst(float(share[k]), where))
     return worst
 
 
@@ -132,19 +132,19 @@ def _evaluate_costate_residuals(
     residual = s.adjoint_residual(s.u, mu)
     total = s.integrate_over_segments(residual)
     inside = s.segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(tolerance)
-    share = np.fmax(along.support_function(total), inside) / scales.cost
-    return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
+    violation = np.fmax(along.support_function(total), inside) / scales.cost
+    return np.where(np.all(np.isfinite(total), axis=0), violation, np.inf), total
 
 
 def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
     phase = s.phase
-    inner = [
+    is_inner = [
         np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool)
         for rule in phase.collocation_rules
     ]
-    nodes = tuple(rule.points[here] for rule, here in zip(phase.collocation_rules, inner, strict=True))
-    values = tuple(v[:, here] for v, here in zip(phase.path_multiplier.values, inner, strict=True))
+    nodes = tuple(rule.points[kept] for rule, kept in zip(phase.collocation_rules, is_inner, strict=True))
+    values = tuple(v[:, kept] for v, kept in zip(phase.path_multiplier.values, is_inner, strict=True))
     mu, pure = s.mu.copy(), s.pure_state_constraints
     mu[pure] = s.sample_signal(PiecewisePolynomial(phase.breaks, nodes, values))[pure]
     return mu
@@ -154,44 +154,44 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     """Return the residuals of the transversality conditions, of costates at free ends and of H at free times."""
     worst = NOTHING
     for s in samples:
-        own = scales.phases[s.phase.name]
+        reach = scales.phases[s.phase.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
         gaps = {end: explain_transversality_residual(s, at, ends) for end, at in (("start", 0), ("end", -1))}
-        for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
-            left = gap.gap - gap.explained
-            left = np.copysign(
-                _compute_wrong_sign_multipliers(left, s.x[:, at], gap.limits, s.state_scale), left
+        for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (reach.start, reach.end), strict=True):
+            residual = gap.gap - gap.explained
+            residual = np.copysign(
+                _compute_wrong_sign_multipliers(residual, s.x[:, at], gap.limits, s.state_scale), residual
             )
-            violation = float(ellipsoid.support_function(left)) / scales.cost
+            violation = float(ellipsoid.support_function(residual)) / scales.cost
             if end == "end":
-                violation = max(violation, scales.estimate_control_change_by_costate_gap(s, left))
-            state = _find_state_of_costliest_gradient(s, left, ellipsoid.radius)
-            place = f"phase {s.phase.name}, {end}, costate of {state}"
-            worst = worst.select_larger(Worst(violation, place))
+                violation = max(violation, scales.estimate_control_change_by_costate_gap(s, residual))
+            state = _find_state_of_costliest_gradient(s, residual, ellipsoid.radius)
+            location = f"phase {s.phase.name}, {end}, costate of {state}"
+            worst = worst.select_larger(Worst(violation, location))
         drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
     return worst
 
 
-def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
-    """Return the residual for free times; ``pushes``: contributions of time-dependent path constraints at both ends."""
+def _check_time_transversality(s: PhaseSamples, ends: EndGradients, drifts: Array, scales: Scales) -> Worst:
+    """Return the residual for free times; ``drifts`` (2,) are contributions of time-dependent path constraints."""
     phase, name = s.phase, s.phase.name
-    boxes, lasts = phase.duration_bounds, np.array([phase.duration])
+    bounds, length = phase.duration_bounds, np.array([phase.duration])
     # A multiplier of the duration counts only if a bound of the duration is active.
-    exerted = np.array([phase.duration_multiplier])
-    alone = np.copysign(_compute_wrong_sign_multipliers(exerted, lasts, boxes, lasts), exerted)
-    duration = float((exerted - alone)[0])
+    multiplier = np.array([phase.duration_multiplier])
+    wrong = np.copysign(_compute_wrong_sign_multipliers(multiplier, length, bounds, length), multiplier)
+    duration = float((multiplier - wrong)[0])
     gaps = np.array(
         [
             s.hamiltonian[0] - ends.initial_time[name] + duration,
             -s.hamiltonian[-1] - ends.final_time[name] - duration,
         ]
     )
-    gaps -= pushes
+    gaps -= drifts
     box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
     times = np.array([phase.initial_time, phase.final_time])
-    reach = box.upper - box.lower
-    span = np.maximum(s.span, set_nonfinite_to_zero(reach))
+    width = box.upper - box.lower
+    span = np.maximum(s.span, set_nonfinite_to_zero(width))
     # Multipliers exist only for times that are variables.
     mismatch = np.where(phase.time_multipliers != 0, np.abs(phase.time_multipliers - gaps), 0.0)
     violation = (
@@ -200,15 +200,17 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.select_larger(
-        Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
+        Worst(float(np.abs(wrong[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
     )
 
 
-def _compute_wrong_sign_multipliers(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _compute_wrong_sign_multipliers(
+    multipliers: Array, values: Array, bounds: Interval, scale: Array
+) -> Array:
     """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
-    at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
+    at_lower, at_upper = bounds.is_near_limits(values, AT_LIMIT * scale)
     # A fixed value allows any multiplier; the boundary conditions check the value.
-    allowed = np.where(multipliers > 0, at_upper, at_lower) | box.is_fixed
+    allowed = np.where(multipliers > 0, at_upper, at_lower) | bounds.is_fixed
     return np.where(allowed, 0.0, np.abs(multipliers))
 
 
@@ -224,10 +226,10 @@ def check_complementarity(
         x, u = phase.x(times), np.hstack(phase.u.values)
         paths = s.functions.path_constraints(times, x, u)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
-        most = np.max(own.deviation, axis=1)
+        peak = np.max(own.deviation, axis=1)
         for labels, multipliers, values, box, scale in (
             (phase.states.labels, phase.state_multipliers, x, phase.state_bounds, own.along.radius[:, None]),
-            (phase.controls.labels, phase.control_multipliers, u, phase.control_bounds, most[:, None]),
+            (phase.controls.labels, phase.control_multipliers, u, phase.control_bounds, peak[:, None]),
             (
                 phase.path_labels,
                 phase.path_multipliers,
@@ -241,53 +243,53 @@ def check_complementarity(
                 * phase.point_weights
                 / scales.cost
             )
-            places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_larger(locate_maximum_over_time(s, violation, times, places))
+            locations = [f"multiplier of {label}" for label in labels]
+            worst = worst.select_larger(locate_maximum_over_time(s, violation, times, locations))
     return worst
 
 
 def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
-    box = solution.need_problem("verify").get_boundary_constraint_bounds()
-    gramian, bends, _ = scales.boundary[1.0]
-    reach = (np.sqrt(np.diag(gramian)) + 0.5 * bends)[: nu.size]
+    bounds = solution.need_problem("verify").get_boundary_constraint_bounds()
+    gramian, curvature, _ = scales.boundary[1.0]
+    changes = (np.sqrt(np.diag(gramian)) + 0.5 * curvature)[: nu.size]
     violation = (
-        _compute_complementarity_products(nu[:, None], values[:, None], box, reach[:, None])[:, 0]
+        _compute_complementarity_products(nu[:, None], values[:, None], bounds, changes[:, None])[:, 0]
         / scales.cost
     )
-    places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
-    return Worst.find_largest_value(violation, places.__getitem__)
+    locations = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
+    return Worst.find_largest_value(violation, locations.__getitem__)
 
 
 def _check_costate_jumps_at_state_bounds(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     phase, breaks = s.phase, s.phase.breaks[1:-1]
-    impulses, beside = (
+    impulses, nearby = (
         phase.state_impulses[:, 1:-1],
         integrate_multipliers_near_boundaries(s, phase.state_multipliers),
     )
-    made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
+    compensated = np.clip(impulses, np.minimum(-nearby, 0.0), np.maximum(-nearby, 0.0))
     radius = scales.phases[phase.name].along.radius[:, None]
-    left, x = impulses - made_up_for, phase.x(breaks)
-    products = _compute_complementarity_products(left, x, phase.state_bounds, radius)
-    places = [f"impulse on {label}" for label in phase.states.labels]
-    return locate_maximum_over_time(s, products / scales.cost, breaks, places)
+    remaining, x = impulses - compensated, phase.x(breaks)
+    products = _compute_complementarity_products(remaining, x, phase.state_bounds, radius)
+    locations = [f"impulse on {label}" for label in phase.states.labels]
+    return locate_maximum_over_time(s, products / scales.cost, breaks, locations)
 
 
 def _compute_complementarity_products(
-    multipliers: Array, values: Array, box: Interval, scale: Array
+    multipliers: Array, values: Array, bounds: Interval, scale: Array
 ) -> Array:
     """Return |multiplier| times the distance to its limit (at most the scale)."""
-    room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
-    room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)
-    return np.abs(multipliers) * np.where(multipliers > 0, room_up, room_down)
+    to_upper = np.minimum(np.abs(bounds.upper[:, None] - values), scale)
+    to_lower = np.minimum(np.abs(values - bounds.lower[:, None]), scale)
+    return np.abs(multipliers) * np.where(multipliers > 0, to_upper, to_lower)
 
 
 def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    values, box = solution.parameter_values, solution.need_problem("verify").get_parameter_bounds()
+    values, bounds = solution.parameter_values, solution.need_problem("verify").get_parameter_bounds()
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
@@ -295,23 +297,23 @@ def check_parameter_stationarity(
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
-    left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
+    slope = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     scale = scales.parameters[:, None]
     violation = (
-        _compute_complementarity_products(-left[:, None], values[:, None], box, scale)[:, 0] / scales.cost
+        _compute_complementarity_products(-slope[:, None], values[:, None], bounds, scale)[:, 0] / scales.cost
     )
-    places = [f"parameter {label}" for label in solution.free_parameters.labels]
-    return Worst.find_largest_value(violation, places.__getitem__)
+    locations = [f"parameter {label}" for label in solution.free_parameters.labels]
+    return Worst.find_largest_value(violation, locations.__getitem__)
 
 
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     phase = s.phase
-    pushes = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
-    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
+    end_atoms = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
+    atoms = np.column_stack([end_atoms[0], explain_costate_jumps(s)[1], end_atoms[1]])
     x, u = phase.x(phase.breaks), phase.applied(phase.breaks)
-    none = np.zeros_like(x)
-    by_parameter, idle = (
-        s.functions.parameter_gradient(phase.breaks, x, u, none, mu) for mu in (atoms, 0.0 * atoms)
+    no_costates = np.zeros_like(x)
+    by_parameter, without_atoms = (
+        s.functions.parameter_gradient(phase.breaks, x, u, no_costates, mu) for mu in (atoms, 0.0 * atoms)
     )
-    return np.asarray(by_parameter - idle)
+    return np.asarray(by_parameter - without_atoms)

@@ -33,15 +33,15 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
     """Return the vector control of a group, if H is affine in it and only its length is limited."""
     layout, labels = s.phase.controls, s.phase.path_labels
     for vector in s.phase.vector_controls:
-        places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
-        if not np.array_equal(np.sort(np.concatenate(places)), group):
+        indices = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
+        if not np.array_equal(np.sort(np.concatenate(indices)), group):
             continue
-        bends = s.functions.functions["switching"].jac_sparsity(0, 2)
-        limited = s.functions.functions["paths"].jac_sparsity(0, 2)
-        curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
-        across = {(int(i), int(j)) for i in places[0] for j in places[1]}
-        rows = {labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group}
-        if curved <= across | {(j, i) for i, j in across} and rows == {vector.direction_norm_constraint_name}:
+        hessian = s.functions.functions["switching"].jac_sparsity(0, 2)
+        jacobian = s.functions.functions["paths"].jac_sparsity(0, 2)
+        curved = {(i, j) for i, j in zip(hessian.row(), hessian.get_col(), strict=True) if i in group}
+        pairs = {(int(i), int(j)) for i in indices[0] for j in indices[1]}
+        rows = {labels[i] for i, j in zip(jacobian.row(), jacobian.get_col(), strict=True) if j in group}
+        if curved <= pairs | {(j, i) for i, j in pairs} and rows == {vector.direction_norm_constraint_name}:
             return vector
     return None
 
@@ -53,12 +53,12 @@ def differentiate_augmented_hamiltonian(
     gradient = s.functions.control_gradient(times, x, u, lam, mu)
     for vector in filter(None, (find_vector_control(s, group) for group in s.functions.coupled_controls)):
         magnitude, direction = (s.phase.controls.slice(part) for part in vector.parts)
-        at = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
-        pushing = u[:, at].copy()
-        pushing[magnitude] = 1.0
-        sigma = s.functions.switching_functions(times[at], x[:, at], pushing, lam[:, at])[direction]
-        along = np.sum(sigma * pushing[direction], axis=0)
-        gradient[magnitude, at] -= along + np.linalg.norm(sigma, axis=0)
+        zero = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
+        thrusting = u[:, zero].copy()
+        thrusting[magnitude] = 1.0
+        sigma = s.functions.switching_functions(times[zero], x[:, zero], thrusting, lam[:, zero])[direction]
+        by_direction = np.sum(sigma * thrusting[direction], axis=0)
+        gradient[magnitude, zero] -= by_direction + np.linalg.norm(sigma, axis=0)
     return gradient
 
 
@@ -67,52 +67,52 @@ def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSam
     strong = cone.strong.copy()
     for s in samples:
         collocation = cone.point.transcription.parts[s.phase.name].collocation
-        places = collocation.point_controls
+        indices = collocation.point_controls
         times = s.phase.initial_time + s.phase.duration * collocation.normalised_point_times
         for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
-            alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
-            strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
+            is_inactive = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
+            strong[indices[i, is_inactive & np.any(cone.strong[indices], axis=0)]] = True
         for vector in s.phase.vector_controls:
             magnitude, direction = (
                 collocation.point_controls[s.phase.controls.slice(part)] for part in vector.parts
             )
-            size = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
+            value = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
             scale = s.control_scale[s.phase.controls.slice(vector.magnitude)][0]
-            idle = strong[magnitude[0]] & (size <= AT_LIMIT * scale)
+            is_zero = strong[magnitude[0]] & (value <= AT_LIMIT * scale)
             length = collocation.path_rows[s.phase.path_labels.index(vector.direction_norm_constraint_name)]
-            strong[direction[:, idle]] = True
-            strong[cone.point.x.size + length[idle]] = False
+            strong[direction[:, is_zero]] = True
+            strong[cone.point.x.size + length[is_zero]] = False
     return replace(cone, strong=strong)
 
 
 def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with path constraints also fixed at the entries of their arcs."""
     point = cone.point
-    found = []
+    blocks = []
     for s in samples:
         part = point.transcription.parts[s.phase.name]
-        rows, starts = np.nonzero(_find_arc_entries(cone, s, part))
+        rows, boundaries = np.nonzero(_find_arc_entries(cone, s, part))
         if not rows.size:
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.phase.mesh.breaks, s.phase.breaks)
         at = breaks, s.phase.x(breaks), s.phase.applied(breaks)
-        places, gradients = differentiate_path_constraints(point.transcription, part, s.functions, at)
-        values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
-        lines = np.tile(np.arange(rows.size), places.shape[0])
+        columns, gradients = differentiate_path_constraints(point.transcription, part, s.functions, at)
+        values = gradients[:, rows, boundaries] * point.scaling.variables[columns[:, boundaries]]
+        row_numbers = np.tile(np.arange(rows.size), columns.shape[0])
         shape = rows.size, point.x.size
-        entries = values.ravel(), (lines, places[:, starts].ravel())
-        found.append(scipy.sparse.csc_array(entries, shape=shape))
-    return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
+        entries = values.ravel(), (row_numbers, columns[:, boundaries].ravel())
+        blocks.append(scipy.sparse.csc_array(entries, shape=shape))
+    return replace(cone, extra_rows=scipy.sparse.vstack(blocks, format="csc")) if blocks else cone
 
 
 def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhaseIndices) -> Mask:
     """Return the arc entries (n_paths, K): active at all points of the segment, but not of the previous one."""
     collocation = part.collocation
-    held = cone.strong[cone.point.x.size :][collocation.path_rows]
-    along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
+    fixed = cone.strong[cone.point.x.size :][collocation.path_rows]
+    is_active = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
     for row in s.pure_state_constraints:
-        along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.point_offsets[:-1])
-    return np.asarray(along[:, 1:] & ~along[:, :-1])
+        is_active[row, 1:] = np.logical_and.reduceat(fixed[row], collocation.mesh.point_offsets[:-1])
+    return np.asarray(is_active[:, 1:] & ~is_active[:, :-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +121,14 @@ class CriticalCone:
 
     ``strong`` and ``weak`` (n_variables + n_constraints,) are fixed variables and rows, and those at a limit with zero
     multiplier, which may leave it to one side. ``unit`` (sparse) are the scaled variables of each variation (module
-    `goh_transformation`; None: one variable each); ``further`` (sparse) are active conditions that are no program rows.
+    `goh_transformation`; None: one variable each); ``extra_rows`` (sparse) are further active conditions.
     """
 
     point: ProgramPoint
     strong: Mask
     weak: Mask
     unit: Any = None
-    further: Any = None
+    extra_rows: Any = None
 
     @classmethod
     def from_program_point(cls, point: ProgramPoint) -> CriticalCone:
@@ -143,11 +143,11 @@ class CriticalCone:
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
             (point.rows, point.constraint_values, point.multiplier_densities[1], of_rows),
         ):
-            limit_set = ProgramLimits.determine_active_set(limits.box, values, multipliers, limits.labels)
-            doubtful = limit_set.mask_weakly_active_limits(values, multipliers)
-            held = limit_set.active & ~doubtful
-            _extend_active_limits_along_arcs(lines, values, held & ~limits.box.is_fixed, held, doubtful)
-            strong.append(held)
+            active_set = ProgramLimits.determine_active_set(limits.box, values, multipliers, limits.labels)
+            doubtful = active_set.mask_weakly_active_limits(values, multipliers)
+            active = active_set.active & ~doubtful
+            _extend_active_limits_along_arcs(lines, values, active & ~limits.box.is_fixed, active, doubtful)
+            strong.append(active)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
 
@@ -156,10 +156,10 @@ class CriticalCone:
         point = self.point
         changes = np.concatenate([direction, point.constraint_jacobian @ direction])[self.weak]
         values = np.concatenate([point.x, point.constraint_values])[self.weak]
-        box = stack_intervals([point.variables.box, point.rows.box]).select_components(self.weak)
-        outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
-        between = [self._compute_largest_limit_violation(s, direction) for s in samples]
-        return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
+        bounds = stack_intervals([point.variables.box, point.rows.box]).select_components(self.weak)
+        outwards = np.where(values - bounds.lower < bounds.upper - values, -changes, changes)
+        between_nodes = [self._compute_largest_limit_violation(s, direction) for s in samples]
+        return bool(np.all(np.concatenate([outwards, *between_nodes]) <= NOTABLE))
 
     def is_curvature_multiplier_dependent(self, direction: Array) -> bool:
         """Return whether the curvature along a direction depends on the choice of multipliers that are not unique.
@@ -191,18 +191,18 @@ class CriticalCone:
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
         paths = s.functions.path_constraints(s.times, s.x, s.u)
-        worst = []
-        for values, changes, box, scale in (
+        violations = []
+        for values, changes, bounds, scale in (
             (s.x, dx, s.phase.state_bounds, s.state_scale),
             (paths, dc, s.phase.path_bounds, s.path_scale),
         ):
-            at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
-            free = ~box.is_fixed[:, None]
-            beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
+            at_lower, at_upper = bounds.is_near_limits(values, AT_LIMIT * scale)
+            free = ~bounds.is_fixed[:, None]
+            outward = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # A direction along a limit hardly changes it and does not violate it.
             largest = np.maximum(np.max(np.abs(changes), axis=1), NOTABLE * scale)
-            worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
-        return np.concatenate(worst)
+            violations.append(np.max(outward, axis=1, initial=0.0) / largest)
+        return np.concatenate(violations)
 
 
 def _list_nlp_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
@@ -220,17 +220,17 @@ def _list_nlp_variables_along_segments(point: ProgramPoint) -> tuple[list[Indice
 
 
 def _extend_active_limits_along_arcs(
-    lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask
+    lines: list[Indices], values: Array, nonzero: Mask, active: Mask, doubtful: Mask
 ) -> None:
     """Fix, in place, nodes at the same limit as a node of their line with a multiplier."""
     for line in lines:
-        limits = values[line[pushed[line]]]
+        limits = values[line[nonzero[line]]]
         same = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
-        held[line[same]], doubtful[line[same]] = True, False
+        active[line[same]], doubtful[line[same]] = True, False
 
 
-def _select_nlp_variables_of_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
-    return np.asarray(places[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
+def _select_nlp_variables_of_segment(collocation: PhaseCollocation, indices: Indices, k: int) -> Indices:
+    return np.asarray(indices[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
 
 
 def _list_segment_states(collocation: PhaseCollocation, k: int) -> Indices:

@@ -52,42 +52,42 @@ from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, 
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
-def reformulate_sampled_phase(problem: Problem, phase: Phase, own: SampledPhase, q: Array) -> SampledPhase:
+def reformulate_sampled_phase(problem: Problem, phase: Phase, given: SampledPhase, q: Array) -> SampledPhase:
     """Return the samples in the variables of a reformulated phase; q are the first parameters of its problem."""
-    stated = phase.model if phase.restatement is None else phase.restatement.model
-    own = _reorder_sampled_variables(own, problem.phases[phase.name].model, stated)
+    given_model = phase.model if phase.restatement is None else phase.restatement.model
+    given = _reorder_sampled_variables(given, problem.phases[phase.name].model, given_model)
     if phase.restatement is None:
-        return own
-    arguments = [*stated.symbolic_arguments(), problem.parameter_symbols()]
+        return given
+    arguments = [*given_model.symbolic_arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.substitute_parameters(phase, phase.restatement.values))
     function = ca.Function("restated", arguments, [values])
     p = read_phase_parameters(problem, problem.phases[phase.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u = evaluate_casadi_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
+        u = evaluate_casadi_batch(function, given.t.size, given.t[None], given.x, given.u, p, q)
     controls = phase.model.controls
     for vector in phase.vector_controls:
         direction = controls.slice(vector.direction)
         u[direction] = _fill_directions_of_zero_vectors(u[controls.slice(vector.magnitude)][0], u[direction])
-    return replace(own, u=u)
+    return replace(given, u=u)
 
 
-def _reorder_sampled_variables(own: SampledPhase, given: Model, model: Model) -> SampledPhase:
+def _reorder_sampled_variables(samples: SampledPhase, old_model: Model, new_model: Model) -> SampledPhase:
     """Return samples of a model with the same variables, some of which are states instead of controls."""
-    if given.states.names == model.states.names:
-        return own
-    known = {name: own.x[given.states.slice(name)] for name in given.states.names}
-    known |= {name: own.u[given.controls.slice(name)] for name in given.controls.names}
-    none, kinds = np.zeros((0, own.t.size)), (model.states, model.controls)
-    return SampledPhase(own.t, *(np.vstack([none, *(known[n] for n in kind.names)]) for kind in kinds))
+    if old_model.states.names == new_model.states.names:
+        return samples
+    by_name = {name: samples.x[old_model.states.slice(name)] for name in old_model.states.names}
+    by_name |= {name: samples.u[old_model.controls.slice(name)] for name in old_model.controls.names}
+    empty, kinds = np.zeros((0, samples.t.size)), (new_model.states, new_model.controls)
+    return SampledPhase(samples.t, *(np.vstack([empty, *(by_name[n] for n in kind.names)]) for kind in kinds))
 
 
 def _fill_directions_of_zero_vectors(size: Array, direction: Array) -> Array:
     """Return directions (n, n_times) of vectors of a size (n_times,); at size zero the previous (first: next) one."""
-    known = np.flatnonzero((size > AT_LIMIT * np.max(size)) & np.all(np.isfinite(direction), axis=0))
-    if not known.size:
+    valid = np.flatnonzero((size > AT_LIMIT * np.max(size)) & np.all(np.isfinite(direction), axis=0))
+    if not valid.size:
         return np.repeat(np.eye(direction.shape[0])[:, :1], direction.shape[1], axis=1)
-    before = np.searchsorted(known, np.arange(direction.shape[1]), side="right") - 1
-    return np.asarray(direction[:, known[np.maximum(before, 0)]])
+    last_valid = np.searchsorted(valid, np.arange(direction.shape[1]), side="right") - 1
+    return np.asarray(direction[:, valid[np.maximum(last_valid, 0)]])
 
 
 MOST_PARTS = 4
@@ -164,16 +164,16 @@ def verify_trajectory(
     q = _read_free_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_sampled_angles(problem, _read_sampled_phases(problem, t, x, u), q)
-    verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
-    if verdict.minimum or twin is problem or _do_angles_exceed_full_turn(problem, twin, samples):
+    verdict, solved = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
+    if verdict.minimum or solved is problem or _do_angles_exceed_full_turn(problem, solved, samples):
         return verdict
     restated = {
-        name: reformulate_sampled_phase(problem, twin.phases[name], own, q) for name, own in samples.items()
+        name: reformulate_sampled_phase(problem, solved.phases[name], own, q) for name, own in samples.items()
     }
-    q = _append_epigraph_parameters(twin, restated, q)
-    other = _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, restated, q), q, tol)
-    prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
-    return verdict if prefers_stated else other
+    q = _append_epigraph_parameters(solved, restated, q)
+    second = _check_sampled_trajectory(solved, _unwrap_sampled_angles(solved, restated, q), q, tol)
+    prefers_stated = (verdict.failed and second.failed) or (verdict.ok and not second.minimum)
+    return verdict if prefers_stated else second
 
 
 def _check_sampled_trajectory(
@@ -181,11 +181,11 @@ def _check_sampled_trajectory(
 ) -> Verdict:
     verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
     path_limited = any(phase.path_labels for phase in problem.phases.values())
-    doubtful = ("stationarity", "active set") if path_limited else ("active set",)
-    for near in NEARER if any(c.name in doubtful for c in verdict.failed) else ():
-        other = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
-        if not other.failed:
-            return replace(other, estimated=True)
+    uncertain = ("stationarity", "active set") if path_limited else ("active set",)
+    for near in NEARER if any(c.name in uncertain for c in verdict.failed) else ():
+        retry = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
+        if not retry.failed:
+            return replace(retry, estimated=True)
     parts = 1
     while verdict["stationarity"].result is ConditionResult.FAIL and parts < MOST_PARTS:
         parts *= 2
@@ -202,18 +202,18 @@ def _mark_interpolation_errors_inconclusive(
     Such failures grow if every second sample is omitted, or are defects that cancel between times given twice.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
-    many = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * FEWEST_SAMPLES}
-    if not failed or not many:
+    dense = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * FEWEST_SAMPLES}
+    if not failed or not dense:
         return verdict
-    thinned = {**samples, **{name: _remove_every_second_sample(phase) for name, phase in many.items()}}
+    thinned = {**samples, **{name: _remove_every_second_sample(phase) for name, phase in dense.items()}}
     coarse = verify(_build_sampled_solution(problem, thinned, q, parts), tol=tol)
-    lasting = [c for c in failed if not _is_failure_due_to_interpolation(c, coarse[c.name].value / c.value)]
-    small = all(c.name == "dynamics" and c.value <= np.sqrt(tol) for c in lasting)
-    if lasting and not (small and _do_defects_cancel_between_repeated_times(problem, samples, q, parts)):
+    remaining = [c for c in failed if not _is_failure_due_to_interpolation(c, coarse[c.name].value / c.value)]
+    is_small = all(c.name == "dynamics" and c.value <= np.sqrt(tol) for c in remaining)
+    if remaining and not (is_small and _do_defects_cancel_between_repeated_times(problem, samples, q, parts)):
         return verdict
-    where = "the samples are too coarse, or inaccurate inside segments: give denser or more accurate ones"
+    note = "the samples are too coarse, or inaccurate inside segments: give denser or more accurate ones"
     conditions = tuple(
-        replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
+        replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {note}") if c in failed else c
         for c in verdict.conditions
     )
     return replace(verdict, conditions=conditions)
@@ -223,14 +223,14 @@ def _do_defects_cancel_between_repeated_times(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int
 ) -> bool:
     """Return whether defects affect the cost less at times given twice, the ends of segments of another tool."""
-    inside = at_ends = 0.0
+    anywhere = at_ends = 0.0
     for name, s in _build_sampled_solution(problem, samples, q, parts).samples().items():
         defects = np.sum(s.lam * compute_dynamics_residual(s, s.u), axis=0)
         sums, t = np.abs(np.cumsum(s.integrate_over_segments(defects))), samples[name].t
         ends = np.isin(s.phase.breaks[1:], t[1:][np.diff(t) == 0])
-        inside = max(inside, float(np.max(sums)))
+        anywhere = max(anywhere, float(np.max(sums)))
         at_ends = max(at_ends, float(np.max(sums[ends] if np.any(ends) else sums)))
-    return INTERPOLATION_GROWTH * at_ends <= inside
+    return INTERPOLATION_GROWTH * at_ends <= anywhere
 
 
 def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
@@ -241,39 +241,39 @@ def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
 
 def _remove_every_second_sample(samples: SampledPhase) -> SampledPhase:
     t = samples.t
-    twice = np.append(np.diff(t) == 0, False)
-    kept = np.arange(t.size) % 2 == 0
-    kept |= twice | np.roll(twice, 1)
-    kept[[0, -1]] = True
-    return SampledPhase(t[kept], samples.x[:, kept], samples.u[:, kept])
+    is_repeated = np.append(np.diff(t) == 0, False)
+    is_kept = np.arange(t.size) % 2 == 0
+    is_kept |= is_repeated | np.roll(is_repeated, 1)
+    is_kept[[0, -1]] = True
+    return SampledPhase(t[is_kept], samples.x[:, is_kept], samples.u[:, is_kept])
 
 
-def _do_angles_exceed_full_turn(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
+def _do_angles_exceed_full_turn(problem: Problem, other: Problem, given: Mapping[str, SampledPhase]) -> bool:
     """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
-    for name, phase in twin.phases.items():
+    for name, phase in other.phases.items():
         if phase.numbers.turns is not None:
-            box, u = problem.phases[name].numbers.controls, stated[name].u
+            bounds, u = problem.phases[name].numbers.controls, given[name].u
             slack = AT_LIMIT * phase.numbers.turns.periods
-            if np.any(u < (box.lower - slack)[:, None]) or np.any(u > (box.upper + slack)[:, None]):
+            if np.any(u < (bounds.lower - slack)[:, None]) or np.any(u > (bounds.upper + slack)[:, None]):
                 return True
     return False
 
 
-def _append_epigraph_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
+def _append_epigraph_parameters(problem: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
     """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
-    added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
-    if not added:
+    names = [name for name in problem.parameters.names if not problem.parameters.slice(name).start < q.size]
+    if not names:
         return q
-    none = np.append(q, np.zeros(len(added)))
-    q, at_zero = none.copy(), _build_sampled_solution(twin, samples, none)
-    rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
-    for name in added:
-        missing, single = [-rows[label] for label in twin.constraints[name].labels], none.copy()
-        own = twin.parameters.slice(name)
-        single[own] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
-        price = abs(_build_sampled_solution(twin, samples, single).objective - at_zero.objective)
-        if price > EQUAL * abs(at_zero.objective):  # otherwise rounding on the kink
-            q[own] = single[own]
+    zeros = np.append(q, np.zeros(len(names)))
+    q, at_zero = zeros.copy(), _build_sampled_solution(problem, samples, zeros)
+    values = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
+    for name in names:
+        required, raised = [-values[label] for label in problem.constraints[name].labels], zeros.copy()
+        rows_of_parameter = problem.parameters.slice(name)
+        raised[rows_of_parameter] = max(*required, float(problem.parameter_bounds[name].lower[0]))
+        change = abs(_build_sampled_solution(problem, samples, raised).objective - at_zero.objective)
+        if change > EQUAL * abs(at_zero.objective):  # otherwise rounding on the kink
+            q[rows_of_parameter] = raised[rows_of_parameter]
     return q
 
 
@@ -285,10 +285,10 @@ def _build_sampled_solution(
 ) -> Solution:
     fitted = {}
     for name, phase in problem.phases.items():
-        size = np.max(np.abs(samples[name].u), axis=1)
-        least = EQUAL * take_largest_variable_component(size, phase.model.controls)
+        magnitude = np.max(np.abs(samples[name].u), axis=1)
+        smallest = EQUAL * take_largest_variable_component(magnitude, phase.model.controls)
         rates = bind_parameters(problem, name, q).state_rates
-        fitted[name] = fit_trajectory_polynomials(samples[name], rates, least).split_mesh_segments(parts)
+        fitted[name] = fit_trajectory_polynomials(samples[name], rates, smallest).split_mesh_segments(parts)
     transcription = transcribe_problem(problem, {name: fit.mesh for name, fit in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)
@@ -330,12 +330,12 @@ def _replace_phase_trajectory(phase: PhaseSolution, fit: FittedPhase) -> PhaseSo
 def _unwrap_sampled_angles(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
-    found = {}
+    unwrapped = {}
     for name, phase in samples.items():
         bounds = problem.phases[name].numbers.controls
         controls = unwrap_angles(bind_parameters(problem, name, q), bounds, phase.t, phase.x, phase.u)
-        found[name] = replace(phase, u=controls)
-    return found
+        unwrapped[name] = replace(phase, u=controls)
+    return unwrapped
 
 
 def _find_arcs_at_control_bounds(phase: PhaseSolution) -> list[Arc]:
@@ -346,9 +346,9 @@ def _find_arcs_at_control_bounds(phase: PhaseSolution) -> list[Arc]:
     for i, label in enumerate(phase.controls.labels):
         lower, upper = phase.control_bounds.is_near_limits(phase.u(phase.point_times), slack)
         for start, end in itertools.pairwise(breaks):
-            within = (phase.point_times > start) & (phase.point_times < end)
-            kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
-            kind = next((k for k, on in kinds.items() if np.all(on)), None)
+            inside = (phase.point_times > start) & (phase.point_times < end)
+            kinds = {ArcKind.LOWER: lower[i, inside], ArcKind.UPPER: upper[i, inside]}
+            kind = next((k for k, at_bound in kinds.items() if np.all(at_bound)), None)
             if kind is None:
                 return []
             if arcs and arcs[-1].channel == label and arcs[-1].kind is kind:
@@ -403,27 +403,27 @@ def _read_sampled_phase(phase: Phase, t: Values, x: Values, u: Values) -> Sample
 
 def _remove_duplicate_samples(samples: SampledPhase) -> SampledPhase:
     t, u = samples.t, samples.u
-    near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
+    is_close = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
     jumps = np.any(np.abs(np.diff(u, axis=1)) > SMALL * np.ptp(u, axis=1, keepdims=True), axis=0)
-    kept = np.append(True, ~(near & ~jumps))
+    is_kept = np.append(True, ~(is_close & ~jumps))
     times = t.copy()
-    times[1:][near & jumps] = t[:-1][near & jumps]
-    return SampledPhase(times[kept], samples.x[:, kept], u[:, kept])
+    times[1:][is_close & jumps] = t[:-1][is_close & jumps]
+    return SampledPhase(times[is_kept], samples.x[:, is_kept], u[:, is_kept])
 
 
 def _split_vector_controls(phase: Phase, u: Values, n_times: int) -> Values:
     """Return controls by name; composed controls as their parts, or as magnitude and direction."""
     if not isinstance(u, Mapping):
         return u
-    found = dict(u)
+    controls = dict(u)
     for control in phase.model.composed_controls.values():
-        if control.name in found:
+        if control.name in controls:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {phase.label}"
-            parts = control.decompose_control(_read_finite_array(found.pop(control.name), shape, what))
+            parts = control.decompose_control(_read_finite_array(controls.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
                 parts = parts[0], _fill_directions_of_zero_vectors(parts[0][0], parts[1])
-            found |= zip(control.parts, parts, strict=True)
-    return found
+            controls |= zip(control.parts, parts, strict=True)
+    return controls
 
 
 def _read_sampled_variables(phase: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:

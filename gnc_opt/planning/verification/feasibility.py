@@ -82,42 +82,42 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     """Return the largest measure of a defect: over a segment, inside it, or by its effect on the cost."""
-    phase, ellipsoid, scan = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
-    residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
-    total, narrow = s.integrate_over_segments(residual), scan.integrate_over_segments(scanned)
-    held = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
-    missed = ellipsoid.normalise_displacement(total)
+    phase, ellipsoid, dense = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
+    residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(dense, dense.u)
+    segment_total, scanned_total = s.integrate_over_segments(residual), dense.integrate_over_segments(scanned)
+    has_jump = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
+    displacement = ellipsoid.normalise_displacement(segment_total)
     # Residuals contain the error of the states inside a segment, which an integration does not.
-    integrated = held | ((missed > tolerance) & (np.max(missed) <= SMALL))
+    integrated = has_jump | ((displacement > tolerance) & (np.max(displacement) <= SMALL))
     errors = compute_propagation_errors(phase, s.functions, np.flatnonzero(integrated))
-    known = held[integrated] | np.all(np.isfinite(errors), axis=0)
-    integrated[integrated], errors = known, errors[:, known]
-    narrow[:, integrated] += errors - total[:, integrated]
-    total[:, integrated] = errors
-    narrow[:, held] = 0.0
+    is_finite = has_jump[integrated] | np.all(np.isfinite(errors), axis=0)
+    integrated[integrated], errors = is_finite, errors[:, is_finite]
+    scanned_total[:, integrated] += errors - segment_total[:, integrated]
+    segment_total[:, integrated] = errors
+    scanned_total[:, has_jump] = 0.0
     inner = phase.breaks[1:-1]
     jumps = phase.x(inner, "right") - phase.x(inner, "left")
-    shares = np.zeros(phase.mesh.segments)
-    for at, own, defects in ((s, total, residual), (scan, narrow, scanned)):
-        own[:, :-1] += jumps
-        running = np.where(held[at.segments], 0.0, at.cumulative_integrals(defects))
-        inside = at.segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
-        missed = ellipsoid.normalise_displacement(own)
-        shares = np.fmax(shares, np.where(np.isnan(missed), np.inf, np.fmax(missed, inside)))
-    k = int(np.argmax(shares))
-    i = int(np.argmax(np.abs(total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
-    what = phase.states.labels[i]
-    if held[k]:
+    measures = np.zeros(phase.mesh.segments)
+    for grid, totals, defects in ((s, segment_total, residual), (dense, scanned_total, scanned)):
+        totals[:, :-1] += jumps
+        sums = np.where(has_jump[grid.segments], 0.0, grid.cumulative_integrals(defects))
+        within = grid.segment_maxima(ellipsoid.normalise_displacement(sums)) * np.sqrt(tolerance)
+        displacement = ellipsoid.normalise_displacement(totals)
+        measures = np.fmax(measures, np.where(np.isnan(displacement), np.inf, np.fmax(displacement, within)))
+    k = int(np.argmax(measures))
+    i = int(np.argmax(np.abs(segment_total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
+    description = phase.states.labels[i]
+    if has_jump[k]:
         jumping = np.array(phase.controls.labels)[phase.applied.is_piecewise_constant[:, k]]
-        what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
-    worst = Worst(float(shares[k]), s.describe_segment(k, what))
-    weighted = s.integrate_over_segments(np.sum(s.lam * residual, axis=0))
-    if s.has_duration and np.all(np.isfinite(weighted)):
+        description += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
+    worst = Worst(float(measures[k]), s.describe_segment(k, description))
+    cost_effects = s.integrate_over_segments(np.sum(s.lam * residual, axis=0))
+    if s.has_duration and np.all(np.isfinite(cost_effects)):
         ends = phase.lam(phase.breaks[1:], "left")
-        weighted[held] = np.sum(ends * total, axis=0)[held]
-        price = np.abs(np.cumsum(weighted)) / scales.cost
-        k = int(np.argmax(price))
-        worst = worst.select_larger(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
+        cost_effects[has_jump] = np.sum(ends * segment_total, axis=0)[has_jump]
+        effects = np.abs(np.cumsum(cost_effects)) / scales.cost
+        k = int(np.argmax(effects))
+        worst = worst.select_larger(Worst(float(effects[k]), s.describe_segment(k, "effect on the cost")))
     return worst
 
 
@@ -126,16 +126,16 @@ def check_trajectory_limits(
 ) -> Condition:
     """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
-    box = solution.need_problem("verify").get_parameter_bounds()
+    bounds = solution.need_problem("verify").get_parameter_bounds()
     values = solution.parameter_values
-    worst = _find_bound_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
+    worst = _find_bound_violation(values, bounds, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
         worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
             _find_state_violation(s, scales)
         )
         if s.phase.path_labels:
-            for at in (s, s.resample_at_even_times(SCANNED_PATHS)):
-                worst = worst.select_larger(_find_path_violation(s, at, scales))
+            for grid in (s, s.resample_at_even_times(SCANNED_PATHS)):
+                worst = worst.select_larger(_find_path_violation(s, grid, scales))
             worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
     return check_value_within_tolerance(
         "limits",
@@ -160,45 +160,45 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.phase.state_bounds))
-    if not found.times.size:
+    peaks = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.phase.state_bounds))
+    if not peaks.times.size:
         return NOTHING
     radius = _cap_scale_by_interval_width(scales.phases[s.phase.name].along.radius, s.phase.state_bounds)
-    shares = found.excess / radius[found.limits.rows]
-    i = int(np.argmax(shares))
-    row = found.limits.rows[i]
+    sizes = peaks.excess / radius[peaks.limits.rows]
+    i = int(np.argmax(sizes))
+    row = peaks.limits.rows[i]
     unit = s.phase.states.units[row]
-    what = f"{s.phase.states.labels[row]} = {found.describe_violation(i)}{f' {unit}' if unit else ''}"
-    return Worst(float(shares[i]), s.describe_time(found.times[i], what))
+    what = f"{s.phase.states.labels[row]} = {peaks.describe_violation(i)}{f' {unit}' if unit else ''}"
+    return Worst(float(sizes[i]), s.describe_time(peaks.times[i], what))
 
 
-def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
+def _find_path_violation(s: PhaseSamples, grid: PhaseSamples, scales: Scales) -> Worst:
     """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
     limits = Limits.from_interval(s.functions.path_constraints, s.phase.path_bounds)
-    found = find_limit_violations(at, limits)
-    if not found.times.size:
+    peaks = find_limit_violations(grid, limits)
+    if not peaks.times.size:
         return NOTHING
-    shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
-    i = int(np.argmax(shares))
-    excess = limits.compute_limit_excess(at.times, at.x, at.u)
+    sizes = _compute_limit_distances(s, scales, peaks.limits, peaks.excess, (peaks.times, peaks.x, peaks.u))
+    i = int(np.argmax(sizes))
+    excess = limits.compute_limit_excess(grid.times, grid.x, grid.u)
     rows, k = np.nonzero(excess > 0)
-    here = at.times[k], at.x[:, k], at.u[:, k]
-    beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
-    most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
-    what = f"{s.phase.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
-    return Worst(most, s.describe_time(found.times[i], what))
+    point = grid.times[k], grid.x[:, k], grid.u[:, k]
+    at_samples = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], point)
+    largest = max(float(sizes[i]), float(np.max(at_samples, initial=0.0)))
+    text = f"{s.phase.path_labels[peaks.limits.rows[i]]} = {peaks.describe_violation(i)}"
+    return Worst(largest, s.describe_time(peaks.times[i], text))
 
 
 def _compute_limit_distances(
-    s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
+    s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, trajectory: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_value_changes(s, scales, *at, SMALL)[rows, np.arange(rows.size)]
-    reach = _cap_scale_by_interval_width(reach, s.phase.path_bounds.select_components(rows))
-    beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
-    shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
-    return np.asarray(np.where(beyond > 0, shares, 0.0))
+    changes = compute_path_value_changes(s, scales, *trajectory, SMALL)[rows, np.arange(rows.size)]
+    changes = _cap_scale_by_interval_width(changes, s.phase.path_bounds.select_components(rows))
+    excess_above_rounding = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
+    relative = np.divide(excess_above_rounding, changes, out=np.full(changes.size, np.inf), where=changes > 0)
+    return np.asarray(np.where(excess_above_rounding > 0, relative, 0.0))
 
 
 def compute_path_value_changes(
@@ -208,37 +208,37 @@ def compute_path_value_changes(
 
     Deviations of controls are at least the share ``least`` of the largest one along the phase.
     """
-    own = scales.phases[s.phase.name]
+    phase_scales = scales.phases[s.phase.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
     by_state = np.moveaxis(by_state, 1, 0)
-    moved = own.along.support_function((by_state.T * own.along.reached).T)
-    moved = np.where(moved > 0, moved, own.along.support_function(by_state))
-    most = np.max(own.deviation, axis=1)[:, None]
-    deviation = np.maximum(sample_control_deviations(s, scales, times), least * most)
+    by_states = phase_scales.along.support_function((by_state.T * phase_scales.along.reached).T)
+    by_states = np.where(by_states > 0, by_states, phase_scales.along.support_function(by_state))
+    peak = np.max(phase_scales.deviation, axis=1)[:, None]
+    deviation = np.maximum(sample_control_deviations(s, scales, times), least * peak)
     for vector in s.phase.vector_controls:  # directions always have length 1
-        deviation[s.phase.controls.slice(vector.direction)] = most[s.phase.controls.slice(vector.direction)]
-    return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
+        deviation[s.phase.controls.slice(vector.direction)] = peak[s.phase.controls.slice(vector.direction)]
+    return np.asarray(np.hypot(by_states, np.linalg.norm(by_control * deviation, axis=1)))
 
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    values, box = s.functions.path_constraints(s.times, s.x, s.u), s.phase.path_bounds
-    above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
-    below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
-    price = np.nan_to_num(above + below) @ s.weights / scales.cost
-    places = [f"phase {s.phase.name}, {label}, effect on the cost" for label in s.phase.path_labels]
-    return Worst.find_largest_value(price, places.__getitem__)
+    values, bounds = s.functions.path_constraints(s.times, s.x, s.u), s.phase.path_bounds
+    above = np.maximum(values - bounds.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
+    below = np.maximum(bounds.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
+    cost_effect = np.nan_to_num(above + below) @ s.weights / scales.cost
+    locations = [f"phase {s.phase.name}, {label}, effect on the cost" for label in s.phase.path_labels]
+    return Worst.find_largest_value(cost_effect, locations.__getitem__)
 
 
 def check_table_ranges(solution: Solution) -> Condition:
     """Return the condition that the trajectory stays within the tables of its models."""
-    worst, refused = NOTHING, False
+    worst, is_error = NOTHING, False
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
-        beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst = worst.select_larger(Worst(beyond, str(out)))
-        refused = refused or out.table.outside == "error"
-    result = combine_condition_results(not worst.value, refused)
+        distance = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
+        worst = worst.select_larger(Worst(distance, str(out)))
+        is_error = is_error or out.table.outside == "error"
+    result = combine_condition_results(not worst.value, is_error)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
         "of the axis. The condition fails only for tables with outside='error'."
@@ -252,18 +252,18 @@ def check_boundary_conditions(
     """Return the condition that initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
-        phase, lasts = s.phase, np.full(5, s.span if s.has_duration else 1.0)
+        phase, durations = s.phase, np.full(5, s.span if s.has_duration else 1.0)
         times = np.array([phase.initial_time, phase.final_time])
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * np.max(np.abs(times))
         gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times) - slack, 0.0)
         bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
         box = stack_intervals([*bounds, Interval(np.zeros(2), np.zeros(2))])
-        of = "initial time", "final time", "duration", "start of the trajectory", "end of the trajectory"
-        labels = [f"phase {phase.name}, {what}" for what in of]
+        names = "initial time", "final time", "duration", "start of the trajectory", "end of the trajectory"
+        labels = [f"phase {phase.name}, {what}" for what in names]
         values = np.concatenate([times, [phase.duration], gaps])
         worst = worst.select_larger(
-            _find_bound_violation(values, box, lasts, labels, (time_unit(solution),) * 5)
+            _find_bound_violation(values, box, durations, labels, (time_unit(solution),) * 5)
         )
     worst = worst.select_larger(
         _find_boundary_violation(*_list_boundary_values(solution, samples, ends), scales)
@@ -277,10 +277,10 @@ def check_boundary_conditions(
     )
 
 
-def _cap_scale_by_interval_width(scale: Array, box: Interval) -> Array:
+def _cap_scale_by_interval_width(scale: Array, bounds: Interval) -> Array:
     """Return reference magnitudes (n, ...) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
-    most = np.where(box.is_fixed, np.inf, MAX_WIDTHS * (box.upper - box.lower))
-    return np.fmin(scale.T, most).T
+    largest = np.where(bounds.is_fixed, np.inf, MAX_WIDTHS * (bounds.upper - bounds.lower))
+    return np.fmin(scale.T, largest).T
 
 
 def _list_boundary_values(
@@ -289,40 +289,40 @@ def _list_boundary_values(
     """Return labels, units, values, multipliers and limits of boundary constraints, then of start and end states."""
     labels = [(f"constraint {label}", "") for label in solution.constraint_labels]
     values, multipliers = [ends.constraints], [solution.constraint_multipliers]
-    boxes = [solution.need_problem("verify").get_boundary_constraint_bounds()]
+    limits = [solution.need_problem("verify").get_boundary_constraint_bounds()]
     for s in samples:
         phase, name = s.phase, s.phase.name
         values += [phase.x(phase.breaks[0]), phase.x(phase.breaks[-1])]
         gaps = s.lam[:, 0] + ends.initial_state[name], s.lam[:, -1] - ends.final_state[name]
         multipliers += [s.has_duration * gap for gap in gaps]
-        boxes += [phase.initial_bounds, phase.final_bounds]
+        limits += [phase.initial_bounds, phase.final_bounds]
         for end in ("start", "end"):
             states = zip(phase.states.labels, phase.states.units, strict=True)
             labels += [(f"phase {name}, {end}, {state}", unit) for state, unit in states]
-    return labels, np.concatenate(values), np.concatenate(multipliers), stack_intervals(boxes)
+    return labels, np.concatenate(values), np.concatenate(multipliers), stack_intervals(limits)
 
 
 def _find_boundary_violation(
-    labels: list[tuple[str, str]], values: Array, multipliers: Array, box: Interval, scales: Scales
+    labels: list[tuple[str, str]], values: Array, multipliers: Array, bounds: Interval, scales: Scales
 ) -> Worst:
     """Return the distance of end states and boundary constraints to their limits, or its effect on the cost."""
     gramian, _, terms = scales.boundary[1.0]
-    miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
-    excess = np.where(np.isnan(values), np.inf, np.maximum(np.abs(miss) - ROUNDING * terms, 0.0))
+    signed_excess = np.maximum(values - bounds.upper, 0.0) - np.maximum(bounds.lower - values, 0.0)
+    excess = np.where(np.isnan(values), np.inf, np.maximum(np.abs(signed_excess) - ROUNDING * terms, 0.0))
     if not np.any(excess):
         return NOTHING
-    share = np.where(np.isfinite(excess), 0.0, np.inf)
+    distance = np.where(np.isfinite(excess), 0.0, np.inf)
     for step, (near, bends, _) in scales.boundary.items():
-        reach = _cap_scale_by_interval_width(np.sqrt(np.diag(near)), box)
-        found = solve_quadratic_step_to_limit(excess, reach, bends)
-        share = np.fmax(share, found if step == 1.0 else step * np.fmin(1.0, found))
-    price = np.abs(np.nan_to_num(multipliers)) * np.nan_to_num(excess) / scales.cost
-    used, together = box.is_fixed | (excess > 0), np.inf
-    if np.all(np.isfinite(share)):
-        ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(used, used)], np.ones(int(np.sum(used))))
-        together = float(ellipsoid.normalise_displacement(np.copysign(share, miss)[used]))
-    i = int(np.argmax(np.fmax(share, price)))
-    return Worst(max(together, float(price[i])), _describe_violation(*labels[i], excess[i]))
+        reach = _cap_scale_by_interval_width(np.sqrt(np.diag(near)), bounds)
+        step_share = solve_quadratic_step_to_limit(excess, reach, bends)
+        distance = np.fmax(distance, step_share if step == 1.0 else step * np.fmin(1.0, step_share))
+    cost_effect = np.abs(np.nan_to_num(multipliers)) * np.nan_to_num(excess) / scales.cost
+    chosen, together = bounds.is_fixed | (excess > 0), np.inf
+    if np.all(np.isfinite(distance)):
+        ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(chosen, chosen)], np.ones(int(np.sum(chosen))))
+        together = float(ellipsoid.normalise_displacement(np.copysign(distance, signed_excess)[chosen]))
+    i = int(np.argmax(np.fmax(distance, cost_effect)))
+    return Worst(max(together, float(cost_effect[i])), _describe_violation(*labels[i], excess[i]))
 
 
 def _describe_violation(label: str, unit: str, excess: float) -> str:
@@ -338,25 +338,25 @@ def check_reported_cost(
     tolerance: float,
 ) -> Condition:
     """Return the condition that cost, integrals and weights are those of the trajectory between its nodes."""
-    yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective))
-    place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
-    worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
+    reference = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective))
+    location = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
+    worst = Worst(abs(ends.cost - stored.objective) / reference, location)
     for s in checked:
-        phase, kept = s.phase, stored.phases[s.phase.name]
-        reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED))
-        if max_norm(phase.integral_weights * (narrow - phase.integrals)) > tolerance * yardstick:
+        phase, saved = s.phase, stored.phases[s.phase.name]
+        size = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
+        scanned = integrate_cost_terms(s.resample_at_even_times(SCANNED))
+        if max_norm(phase.integral_weights * (scanned - phase.integrals)) > tolerance * reference:
             # In thin layers the scan itself may be inaccurate.
-            narrow = integrate_cost_terms(s.resample_at_even_times(SCANNED, LAYER_STEPS))
+            scanned = integrate_cost_terms(s.resample_at_even_times(SCANNED, LAYER_STEPS))
         rows = [
-            ("integral", phase.integral_weights * (kept.integrals - phase.integrals)),
-            ("peaks between the nodes of integral", phase.integral_weights * (narrow - phase.integrals)),
+            ("integral", phase.integral_weights * (saved.integrals - phase.integrals)),
+            ("peaks between the nodes of integral", phase.integral_weights * (scanned - phase.integrals)),
         ]
         if with_weights:
-            rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
-        for what, off in rows:
+            rows.append(("weight of integral", size * (saved.integral_weights - phase.integral_weights)))
+        for what, gap in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(Worst.find_largest_value(np.abs(off) / yardstick, places.__getitem__))
+            worst = worst.select_larger(Worst.find_largest_value(np.abs(gap) / reference, places.__getitem__))
     return check_value_within_tolerance(
         "cost",
         worst,
@@ -372,10 +372,10 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 
 
 def _find_bound_violation(
-    values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
+    values: Array, bounds: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    excess = interval.compute_bound_violation(values)
-    scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
+    excess = bounds.compute_bound_violation(values)
+    scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), bounds)
     violation = excess / replace_zeros_by_one(scale)
     excess, violation = (np.where(np.isnan(values), np.inf, v) for v in (excess, violation))
     if not np.any(violation > 0):

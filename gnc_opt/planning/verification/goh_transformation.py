@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Indices, Mask
+from gnc_opt.array_types import Indices, Mask, compute_interval_midpoints
 from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, RANK
 from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
@@ -62,21 +62,21 @@ _RADAU = ((get_collocation_points, -1.0), (get_quadrature_weights, 1.0))
 def mask_zero_hamiltonian_curvature(s: PhaseSamples) -> Mask:
     """Return where H has no positive curvature in a control (n_controls, n_samples)."""
     # A control at zero has the scale of its possible effect on the trajectory.
-    unit = np.maximum(s.control_scale, s.control_span)
-    curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
+    scale = np.maximum(s.control_scale, s.control_span)
+    curvature = np.einsum("iij->ij", s.control_hessian) * scale[:, None] ** 2
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
 @lru_cache(maxsize=8)
 def mask_singular_samples(s: PhaseSamples) -> Mask:
     """Return where a control is interior, without curvature of H and not determined by active constraints (m, n)."""
-    inside: Mask = ~np.any(s.is_at_control_bounds, axis=0)
-    singular = mask_zero_hamiltonian_curvature(s) & inside & ~s.inactive_controls
+    interior: Mask = ~np.any(s.is_at_control_bounds, axis=0)
+    singular = mask_zero_hamiltonian_curvature(s) & interior & ~s.inactive_controls
     if not np.any(singular):
         return singular
-    bases = compute_free_control_directions(s, inside, s.control_span)
-    left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
-    return np.asarray(singular & left)
+    bases = compute_free_control_directions(s, interior, s.control_span)
+    has_free_direction = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
+    return np.asarray(singular & has_free_direction)
 
 
 def mask_singular_segments(s: PhaseSamples) -> Mask:
@@ -89,14 +89,14 @@ def mask_singular_segments(s: PhaseSamples) -> Mask:
 def refine_mesh_at_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
     """Return a mesh with narrow segments at the ends of singular arcs; ``singular`` (K,)."""
     breaks, degrees, movable = [0.0], [], []
-    beside = np.concatenate([[False], singular, [False]])
+    padded = np.concatenate([[False], singular, [False]])
     for k, degree in enumerate(mesh.degrees):
         if k in mesh.movable:
             movable.append(len(breaks) - 1)
-        begins, ends = singular[k] and not beside[k], singular[k] and not beside[k + 2]
-        inner = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
-        breaks += [mesh.breaks[k] + share * mesh.segment_widths[k] for share in inner] + [mesh.breaks[k + 1]]
-        degrees += [max(degree, SINGULAR_SEGMENT_MIN_POINTS) if singular[k] else degree] * (len(inner) + 1)
+        begins, ends = singular[k] and not padded[k], singular[k] and not padded[k + 2]
+        cuts = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
+        breaks += [mesh.breaks[k] + share * mesh.segment_widths[k] for share in cuts] + [mesh.breaks[k + 1]]
+        degrees += [max(degree, SINGULAR_SEGMENT_MIN_POINTS) if singular[k] else degree] * (len(cuts) + 1)
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
 
 
@@ -107,22 +107,22 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     """
     strong, blocks = cone.strong.copy(), []
     squares = compute_variation_norm_weights(cone.point.transcription)
-    itself = np.ones(squares.size, dtype=bool)
+    is_unchanged = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.phase.name]
         singular = _find_undetermined_singular_segments(cone, s)
         strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
-                last = part.collocation.boundary_states[_find_states_driven_by_controls(s, i), -1]
-                squares[last] = 0.5 * part.collocation.mesh.segment_widths[-1]
-            block, places = _build_integrated_control_variations(squares.size, part, i, singular[i])
-            itself[places] = False
+                final_states = part.collocation.boundary_states[_find_states_driven_by_controls(s, i), -1]
+                squares[final_states] = 0.5 * part.collocation.mesh.segment_widths[-1]
+            block, replaced = _build_integrated_control_variations(squares.size, part, i, singular[i])
+            is_unchanged[replaced] = False
             blocks.append(block)
     if not blocks:
         return cone
-    own = scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")[:, np.flatnonzero(itself)]
-    unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
+    unchanged = scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")[:, np.flatnonzero(is_unchanged)]
+    unit = scipy.sparse.csc_array(scipy.sparse.hstack([unchanged, *blocks]))
     return replace(cone, strong=strong, unit=unit)
 
 
@@ -132,46 +132,42 @@ def _find_undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) ->
     singular = mask_singular_segments(s)
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
-    segments = _map_refined_to_coarse_segments(s.phase.mesh, part.collocation.mesh)
+    middles = compute_interval_midpoints(np.asarray(part.collocation.mesh.breaks))
+    segments = np.searchsorted(s.phase.mesh.breaks, middles) - 1
     return singular[:, segments] & _mask_segments_without_active_limits(cone, part)
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Return the segments (n_controls, K) on which the second variation has curvature in the controls themselves."""
-    found = np.zeros((s.phase.controls.size, s.phase.mesh.segments), dtype=bool)
+    mask = np.zeros((s.phase.controls.size, s.phase.mesh.segments), dtype=bool)
     for arc in analyse_singular_arcs(problem, s, *mask_undetermined_controls(s, AT_LIMIT), AT_LIMIT):
-        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
-        if arc.order == 0 and arc.why and not unknown:
+        is_unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
+        if arc.order == 0 and arc.why and not is_unknown:
             for i in arc.channels:
-                found[i, s.segments[slice(*arc.samples)]] = True
-    return found
-
-
-def _map_refined_to_coarse_segments(mesh: Mesh, fine: Mesh) -> Indices:
-    middles = 0.5 * (np.asarray(fine.breaks[:-1]) + np.asarray(fine.breaks[1:]))
-    return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
+                mask[i, s.segments[slice(*arc.samples)]] = True
+    return mask
 
 
 def _mask_segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> Mask:
     """Return the segments (n_controls, K) without a fixed control, state or path constraint."""
     collocation, n = part.collocation, cone.point.x.size
-    inner = ~np.isin(collocation.point_states, collocation.boundary_states)
-    others = np.any(cone.strong[:n][collocation.point_states] & inner, axis=0)
-    others |= np.any(cone.strong[n:][collocation.path_rows], axis=0)
-    held = cone.strong[:n][collocation.point_controls] | others
-    return ~np.logical_or.reduceat(held, collocation.mesh.point_offsets[:-1], axis=1)
+    is_inner = ~np.isin(collocation.point_states, collocation.boundary_states)
+    others_fixed = np.any(cone.strong[:n][collocation.point_states] & is_inner, axis=0)
+    others_fixed |= np.any(cone.strong[n:][collocation.path_rows], axis=0)
+    is_fixed = cone.strong[:n][collocation.point_controls] | others_fixed
+    return ~np.logical_or.reduceat(is_fixed, collocation.mesh.point_offsets[:-1], axis=1)
 
 
 def _list_junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
     """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
     movable, switches = s.phase.mesh.movable, find_bound_to_bound_switches(s)[0]
-    beside = np.any(singular, axis=0)
-    found = [
+    is_singular = np.any(singular, axis=0)
+    times = [
         part.times[k]
-        for k, (boundary, own) in enumerate(zip(part.collocation.mesh.movable, movable, strict=True), 1)
-        if (beside[boundary - 1] or beside[boundary]) and s.phase.breaks[own] not in switches
+        for k, (boundary, j) in enumerate(zip(part.collocation.mesh.movable, movable, strict=True), 1)
+        if (is_singular[boundary - 1] or is_singular[boundary]) and s.phase.breaks[j] not in switches
     ]
-    return np.array(found, dtype=int)
+    return np.array(times, dtype=int)
 
 
 def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
@@ -185,43 +181,43 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
-    last = point.transcription.parts[s.phase.name].collocation.boundary_states[:, -1]
-    at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
+    final_states = point.transcription.parts[s.phase.name].collocation.boundary_states[:, -1]
+    end_values = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
-    slopes = _build_hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
+    slopes = _build_hamiltonian_mixed_derivatives(point.problem, s)(*end_values, *numbers)[0].full()
     by_control = (
         s.functions.dynamics_control_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
     )
-    mixed = span[:, None] * slopes[channels] @ by_control
-    by_control = by_control / point.scaling.variables[last, None]
-    ends = point.lagrangian_hessian[last][:, last] / point.scaling.objective
-    form = by_control.T @ ends @ by_control + 0.5 * (mixed + mixed.T)
+    mixed_curvature = span[:, None] * slopes[channels] @ by_control
+    by_control = by_control / point.scaling.variables[final_states, None]
+    ends = point.lagrangian_hessian[final_states][:, final_states] / point.scaling.objective
+    form = by_control.T @ ends @ by_control + 0.5 * (mixed_curvature + mixed_curvature.T)
     rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
-    by_constraint = point.constraint_jacobian[rows][:, last] @ by_control
-    kept = np.vstack([by_constraint, by_control[cone.strong[:n][last]]])
-    left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
+    by_constraint = point.constraint_jacobian[rows][:, final_states] @ by_control
+    fixed = np.vstack([by_constraint, by_control[cone.strong[:n][final_states]]])
+    basis = scipy.linalg.null_space(fixed, rcond=RANK) if np.any(fixed) else np.eye(channels.size)
     magnitude = s.hamiltonian_scale * s.span
-    least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
-    if least > AT_LIMIT * magnitude:
+    smallest = float(np.min(np.linalg.eigvalsh(basis.T @ form @ basis), initial=np.inf))
+    if smallest > AT_LIMIT * magnitude:
         return "", np.inf
-    how = "negative" if least < -AT_LIMIT * magnitude else "zero"
+    sign = "negative" if smallest < -AT_LIMIT * magnitude else "zero"
     label = s.phase.controls.labels[channels[0]]
     return (
-        f"phase {s.phase.name}, {label}: the curvature of the cost along a final impulse of the control is {how}",
-        least / max(magnitude, s.cost_magnitude),
+        f"phase {s.phase.name}, {label}: the curvature of the cost along a final impulse of the control is {sign}",
+        smallest / max(magnitude, s.cost_magnitude),
     )
 
 
 def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
-    moved = np.concatenate([_find_states_driven_by_controls(s, i) for i in map(int, channels)])
+    driven = np.concatenate([_find_states_driven_by_controls(s, i) for i in map(int, channels)])
     ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.phase.name) + 1
-    depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
+    relevant = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
     slopes = _build_hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
-    depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
-    limited = np.logical_or(*s.phase.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
-    return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
+    relevant += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
+    is_limited = np.logical_or(*s.phase.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
+    return bool(np.any(np.isin(driven, relevant)) or np.any(is_limited[driven]))
 
 
 def _build_hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
@@ -229,8 +225,8 @@ def _build_hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> A
     def build_mixed_derivative_function() -> Any:
         slope = s.functions.functions["switching"]
         t, x, u, lam, mu, *numbers = (ca.SX.sym("v", slope.size1_in(i)) for i in range(8))
-        none = np.zeros(mu.shape)
-        mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
+        no_mu = np.zeros(mu.shape)
+        mixed = [ca.jacobian(slope(t, x, u, costates, no_mu, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
     return problem.memoize(("mixed derivatives", s.phase.name), build_mixed_derivative_function)
@@ -248,17 +244,17 @@ def _build_integrated_control_variations(
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []
     segments = np.flatnonzero(singular)
-    for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
+    for k, next_segment in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
         # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
         slopes = build_differentiation_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
-        places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
+        indices = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
         slopes = 2 / mesh.segment_widths[k] * slopes[:, int(count == 0) :]
-        entries.append((np.repeat(places, columns.size), np.tile(columns, places.size), slopes.ravel()))
+        entries.append((np.repeat(indices, columns.size), np.tile(columns, indices.size), slopes.ravel()))
         count += nodes.size
         squares.append(0.5 * mesh.segment_widths[k] * shares)
-        squares[-1][-1] += mesh.breaks[following] - mesh.breaks[k + 1]
+        squares[-1][-1] += mesh.breaks[next_segment] - mesh.breaks[k + 1]
     rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
     block = scipy.sparse.csc_array((values, (rows, columns)), shape=(n, count))
     return block @ scipy.sparse.diags_array(1 / np.sqrt(np.concatenate(squares))), np.unique(rows)

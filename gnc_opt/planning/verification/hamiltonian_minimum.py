@@ -53,12 +53,12 @@ class HamiltonianGain:
 
 def get_control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
-    bounds, half = s.phase.control_bounds, 0.5 * s.angular_control_periods
-    reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
-    least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
-    most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
-    lower = np.where(np.isfinite(bounds.lower), bounds.lower, least)
-    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, most)
+    bounds, half_turn = s.phase.control_bounds, 0.5 * s.angular_control_periods
+    margin = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
+    fallback_lower = np.where(half_turn > 0, np.min(s.u, axis=1) - half_turn, -margin)
+    fallback_upper = np.where(half_turn > 0, np.max(s.u, axis=1) + half_turn, margin)
+    lower = np.where(np.isfinite(bounds.lower), bounds.lower, fallback_lower)
+    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, fallback_upper)
 
 
 def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
@@ -90,8 +90,8 @@ def compute_joint_hamiltonian_decreases(
             gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            nearby = search.minimise_by_newton(search._normalised_controls, np.arange(search.chosen.size))[0]
-            gains.append(search.average_hamiltonian_decrease(nearby))
+            minima = search.minimise_by_newton(search._normalised_controls, np.arange(search.chosen.size))[0]
+            gains.append(search.average_hamiltonian_decrease(minima))
     return gains, searched
 
 
@@ -99,9 +99,9 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     lower, upper = (limit[:, None] for limit in get_control_search_bounds(s))
-    slope, apart = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
-    clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.max_hamiltonian_change)
-    u = np.where(clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
+    slope, separable = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
+    is_clear = separable & (np.abs(slope) * (upper - lower) > SMALL * s.max_hamiltonian_change)
+    u = np.where(is_clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen)
         vector = find_vector_control(s, group)
@@ -157,10 +157,10 @@ class _MinimumSearch:
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_path_constraints):
-            least, most = self._path_constraint_limits[:, :, at]
+            lower, upper = self._path_constraint_limits[:, :, at]
             paths = s.functions.path_constraints(times, x, u)
-            inside = (paths >= least) & (paths <= most)
-            admissible &= np.all(inside | ~s.functions.mixed_path_constraints[:, None], axis=0)
+            is_inside = (paths >= lower) & (paths <= upper)
+            admissible &= np.all(is_inside | ~s.functions.mixed_path_constraints[:, None], axis=0)
         return np.where(admissible, value, np.inf)
 
     def _project_onto_path_constraints(self, shares: Array, at: Indices) -> Array:
@@ -168,18 +168,18 @@ class _MinimumSearch:
         functions = self.s.functions
         if not np.any(functions.mixed_path_constraints):
             return shares
-        shares, off = shares.copy(), np.arange(at.size)
+        shares, cols = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._substitute_controls(shares[:, off], at[off])
+            times, x, u = self._substitute_controls(shares[:, cols], at[cols])
             paths = functions.path_constraints(times, x, u)
-            beyond = np.clip(paths, *self._path_constraint_limits[:, :, at[off]]) - paths
-            there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
-            if not np.any(there):
+            gap = np.clip(paths, *self._path_constraint_limits[:, :, at[cols]]) - paths
+            is_violated = np.any(gap != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
+            if not np.any(is_violated):
                 break
-            off, beyond = off[there], beyond[:, there]
-            rows = self._evaluate_path_constraint_gradients(shares[:, off], at[off])
-            inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
-            shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
+            cols, gap = cols[is_violated], gap[:, is_violated]
+            rows = self._evaluate_path_constraint_gradients(shares[:, cols], at[cols])
+            inverse = np.linalg.pinv(np.where((gap != 0).T[:, :, None], rows, 0.0), rcond=RANK)
+            shares[:, cols] = np.clip(shares[:, cols] + np.einsum("nij,jn->in", inverse, gap), 0.0, 1.0)
         return shares
 
     def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
@@ -198,27 +198,27 @@ class _MinimumSearch:
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.phase.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
-        bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
-        return set_nonfinite_to_zero(gradient), set_nonfinite_to_zero(bends)
+        curvature = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
+        return set_nonfinite_to_zero(gradient), set_nonfinite_to_zero(curvature)
 
     @cached_property
     def has_unique_minimum(self) -> bool:
         """Whether H, apart from jumps, is a convex quadratic function of the controls with affine constraints."""
         if not self.s.functions.is_hamiltonian_quadratic_in(self.group):
             return False
-        every = np.arange(self.chosen.size)
-        gradient, bends = self.evaluate_hamiltonian_derivatives(self._normalised_controls, every)
-        sizes = np.linalg.eigvalsh(bends)
-        if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
+        all_times = np.arange(self.chosen.size)
+        gradient, hessian = self.evaluate_hamiltonian_derivatives(self._normalised_controls, all_times)
+        eigenvalues = np.linalg.eigvalsh(hessian)
+        if np.any(eigenvalues[:, 0] < -EQUAL * np.max(np.abs(eigenvalues))):
             return False
-        move = draw_low_discrepancy_points(every.size, self.group.size) - self._normalised_controls
-        _, _, u = self._substitute_controls(self._normalised_controls + move, every)
+        step = draw_low_discrepancy_points(all_times.size, self.group.size) - self._normalised_controls
+        _, _, u = self._substitute_controls(self._normalised_controls + step, all_times)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
-        first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
-        base = s.hamiltonian[self.chosen]
-        terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
-        return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
+        first, second = np.sum(gradient * step, axis=0), 0.5 * np.einsum("in,nij,jn->n", step, hessian, step)
+        here = s.hamiltonian[self.chosen]
+        magnitudes = np.abs(here) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
+        return bool(np.all(np.abs(value - here - first - second) <= EQUAL * magnitudes))
 
     def minimise_over_vector_control(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
@@ -230,11 +230,11 @@ class _MinimumSearch:
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
         u[direction] = np.divide(-slope[direction], strength, out=applied, where=strength > 0)
-        least, most = (limit[magnitude, None] for limit in get_control_search_bounds(s))
-        u[magnitude] = np.where(slope[magnitude] > strength, least, most)
+        smallest, largest = (limit[magnitude, None] for limit in get_control_search_bounds(s))
+        u[magnitude] = np.where(slope[magnitude] > strength, smallest, largest)
         lower, span = self._control_search_ranges
-        away = u[self.group] - lower
-        return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
+        offset = u[self.group] - lower
+        return np.asarray(np.divide(offset, span, out=np.zeros_like(offset), where=span > 0))
 
     def denormalise_controls(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as applied without a range."""
@@ -249,24 +249,24 @@ class _MinimumSearch:
     def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_controls()
-        some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
-        starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
-        lowest, low = self.minimise_by_newton(
-            np.concatenate([shares[:, starts], self._normalised_controls[:, some]], axis=1),
-            np.concatenate([at[starts], some]),
+        times = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
+        starts = np.concatenate([best[times], first[times]])  # the first point of each time is arbitrary
+        minimisers, minima = self.minimise_by_newton(
+            np.concatenate([shares[:, starts], self._normalised_controls[:, times]], axis=1),
+            np.concatenate([at[starts], times]),
         )
-        found = np.concatenate([shares[:, best], lowest], axis=1)
-        when = np.concatenate([at[best], at[starts], some])
-        values = np.concatenate([value[best], low])
-        gain, share = self._compute_hamiltonian_decrease(found, values, when)
+        points = np.concatenate([shares[:, best], minimisers], axis=1)
+        times = np.concatenate([at[best], at[starts], times])
+        values = np.concatenate([value[best], minima])
+        gain, share = self._compute_hamiltonian_decrease(points, values, times)
         if np.max(share) <= tolerance:
-            most = np.zeros((2, self.chosen.size))
-            for row, values in zip(most, (gain, share), strict=True):
-                np.maximum.at(row, when, values)
-            return HamiltonianGain(self.s.times[self.chosen], *most)
-        order = np.argsort(-share)[: when.size // 4]
-        kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_hamiltonian_decrease(self._minimise_from_best_points(kept, shares[:, best]))
+            largest = np.zeros((2, self.chosen.size))
+            for row, values in zip(largest, (gain, share), strict=True):
+                np.maximum.at(row, times, values)
+            return HamiltonianGain(self.s.times[self.chosen], *largest)
+        order = np.argsort(-share)[: times.size // 4]
+        top = points[:, order[:: max(1, order.size // _STARTS_REFINED)]]
+        return self.average_hamiltonian_decrease(self._minimise_from_best_points(top, shares[:, best]))
 
     def _sample_trial_controls(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -274,44 +274,44 @@ class _MinimumSearch:
         Half of them are distributed over the range, the others at log-uniform distances from the applied control.
         """
         n, k = self.chosen.size, self.group.size
-        at = np.repeat(np.arange(n), POINTS // n)
-        points, applied = draw_low_discrepancy_points(at.size, k), self._normalised_controls[:, at]
+        times = np.repeat(np.arange(n), POINTS // n)
+        points, applied = draw_low_discrepancy_points(times.size, k), self._normalised_controls[:, times]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
-        near = np.arange(at.size) % 2 == 1
-        side = 2.0 * points - 1.0
-        distance = np.sign(side) * NEAREST ** (1.0 - np.abs(side))
-        shares[:, near] = np.clip(applied + distance, 0.0, 1.0)[:, near]
-        single = np.flatnonzero(np.arange(at.size) % 4 >= 2)
-        moved = (single // 4) % k
-        line = applied[:, single]
-        line[moved, np.arange(single.size)] = shares[moved, single]
-        shares[:, single] = line
-        value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
-        return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
+        is_near = np.arange(times.size) % 2 == 1
+        signed = 2.0 * points - 1.0
+        distance = np.sign(signed) * NEAREST ** (1.0 - np.abs(signed))
+        shares[:, is_near] = np.clip(applied + distance, 0.0, 1.0)[:, is_near]
+        single_control = np.flatnonzero(np.arange(times.size) % 4 >= 2)
+        varied = (single_control // 4) % k
+        points_on_lines = applied[:, single_control]
+        points_on_lines[varied, np.arange(single_control.size)] = shares[varied, single_control]
+        shares[:, single_control] = points_on_lines
+        value, first_points = self.evaluate_hamiltonian(shares, times), np.arange(n) * (times.size // n)
+        return shares, times, value, first_points, first_points + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _minimise_from_best_points(self, kept: Array, best: Array) -> Array:
-        every = np.arange(self.chosen.size)
+    def _minimise_from_best_points(self, others: Array, best: Array) -> Array:
+        times = np.arange(self.chosen.size)
         trials = np.stack(
-            [self._normalised_controls, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
+            [self._normalised_controls, best, *(np.tile(w[:, None], times.size) for w in others.T)]
         )
-        lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
-        return self.minimise_by_newton(trials[lowest, :, every].T, every)[0]
+        lowest = np.argmin([self.evaluate_hamiltonian(w, times) for w in trials], axis=0)
+        return self.minimise_by_newton(trials[lowest, :, times].T, times)[0]
 
-    def average_hamiltonian_decrease(self, better: Array) -> HamiltonianGain:
+    def average_hamiltonian_decrease(self, shares: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
-        every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
+        all_times, times = np.arange(self.chosen.size), self.s.times[self.chosen]
         gain, share = self._compute_hamiltonian_decrease(
-            better, self.evaluate_hamiltonian(better, every), every
+            shares, self.evaluate_hamiltonian(shares, all_times), all_times
         )
         return HamiltonianGain(times, *average_violation_over_time(times, np.stack([gain, share])))
 
-    def _compute_hamiltonian_decrease(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+    def _compute_hamiltonian_decrease(self, shares: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
-        terms = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
-        least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
-        gain = np.where(gain > least, gain, 0.0)
+        magnitude = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
+        resolved = np.maximum(ROUNDING * magnitude, RESOLVED_GAIN_SHARE * self.cost_rate)
+        gain = np.where(gain > resolved, gain, 0.0)
         return gain, gain / (
-            self._compute_largest_hamiltonian_change(better - self._normalised_controls[:, at]) + gain
+            self._compute_largest_hamiltonian_change(shares - self._normalised_controls[:, at]) + gain
         )
 
     def _compute_largest_hamiltonian_change(self, moves: Array) -> Array:
@@ -324,11 +324,11 @@ class _MinimumSearch:
         length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
         slopes = s.switching_functions[np.ix_(group, self.chosen)]
-        bends = s.control_hessian[np.ix_(group, group, self.chosen)]
+        curvature = s.control_hessian[np.ix_(group, group, self.chosen)]
         with np.errstate(invalid="ignore"):  # roots have infinite slope at zero
             pairs = direction[:, None] * direction
-            curved = 0.5 * np.tensordot(bends, pairs, axes=([0, 1], [0, 1]))
-        change = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
+            second_order = 0.5 * np.tensordot(curvature, pairs, axes=([0, 1], [0, 1]))
+        change = np.fmax(np.abs(slopes.T @ direction), np.abs(second_order))
         return np.asarray(
             np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CHEAP_CURVED * self.cost_rate)
         )
@@ -340,37 +340,37 @@ class _MinimumSearch:
         active = np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             step = self._compute_newton_step(shares[:, active], at[active])
-            here = np.tile(at[active], len(_STEP_LENGTHS))
+            trial_times = np.tile(at[active], len(_STEP_LENGTHS))
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
-            trials = self._project_onto_path_constraints(np.clip(trials, 0.0, 1.0), here)
-            values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
+            trials = self._project_onto_path_constraints(np.clip(trials, 0.0, 1.0), trial_times)
+            values = self.evaluate_hamiltonian(trials, trial_times).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - NEGLIGIBLE * self.s.hamiltonian_rounding_level
-            if not np.any(lower):
+            better = reached < value[active] - NEGLIGIBLE * self.s.hamiltonian_rounding_level
+            if not np.any(better):
                 break
-            shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]
-            value[active[lower]] = reached[lower]
-            active = active[lower]
+            shares[:, active[better]] = trials[:, (lowest * active.size + np.arange(active.size))[better]]
+            value[active[better]] = reached[better]
+            active = active[better]
         return shares, value
 
     def _compute_newton_step(self, shares: Array, at: Indices) -> Array:
         """Return Newton's step (group, n) along active bounds and path constraints."""
-        gradient, bends = self.evaluate_hamiltonian_derivatives(shares, at)
-        blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
-        free = np.where(blocked, 0.0, 1.0).T
+        gradient, hessian = self.evaluate_hamiltonian_derivatives(shares, at)
+        at_bound = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
+        free = np.where(at_bound, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_path_constraints):
             rows, mu = self._compute_path_multipliers(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
-            bends = self.evaluate_hamiltonian_derivatives(shares, at, mu)[1]
-        sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
-        pull = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
-        steepest = np.max(np.abs(pull), axis=1)
+            hessian = self.evaluate_hamiltonian_derivatives(shares, at, mu)[1]
+        sizes, axes = np.linalg.eigh(tangent @ hessian @ tangent)
+        slope = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
+        steepest = np.max(np.abs(slope), axis=1)
         sizes = np.abs(sizes)
         floor = np.maximum(EQUAL * np.max(sizes, axis=1), SMALL * steepest)
-        step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
-        return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
+        step = -np.einsum("nij,nj->in", axes, slope / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
+        return np.asarray(np.where(at_bound, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
     def _compute_path_multipliers(
         self, shares: Array, at: Indices, gradient: Array, free: Array
@@ -378,14 +378,14 @@ class _MinimumSearch:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
         paths = functions.path_constraints(*self._substitute_controls(shares, at))
-        least, most = self._path_constraint_limits[:, :, at]
-        near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
-        at_least, at_most = paths <= least + near, paths >= most - near
+        lower, upper = self._path_constraint_limits[:, :, at]
+        slack = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
+        at_least, at_most = paths <= lower + slack, paths >= upper - slack
         active = (at_least | at_most) & functions.mixed_path_constraints[:, None] & np.isfinite(paths)
         rows = self._evaluate_path_constraint_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # limits with inadmissible multipliers are released
-            held = np.where(active.T[:, :, None], rows, 0.0)
-            mu = -np.einsum("nij,in->jn", np.linalg.pinv(held, rcond=RANK), gradient)
+            active_rows = np.where(active.T[:, :, None], rows, 0.0)
+            mu = -np.einsum("nij,in->jn", np.linalg.pinv(active_rows, rcond=RANK), gradient)
             active &= (at_least & (mu <= 0)) | (at_most & (mu >= 0))
         return np.where(active.T[:, :, None], rows, 0.0), np.where(active, mu, 0.0)

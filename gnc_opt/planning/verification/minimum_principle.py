@@ -45,10 +45,10 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
 
 def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return the scales of decreases of H by each single control (m,), cost per second."""
-    bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
-    least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
-    own = np.maximum(scales.phases[s.phase.name].control_cost, least)
-    return np.asarray(np.minimum(own, scales.cost) / s.span)
+    curvature = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
+    smallest = np.where(curvature > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
+    by_control = np.maximum(scales.phases[s.phase.name].control_cost, smallest)
+    return np.asarray(np.minimum(by_control, scales.cost) / s.span)
 
 
 def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
@@ -60,19 +60,19 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     worst = NOTHING
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.phase.name].deviation)
-        miss = _compute_control_distance_to_minimum(s, scales)
+        distance = _compute_control_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
-        clear = np.isfinite(miss) & (miss > NOTABLE) & mask_controls_with_cost_curvature(s)[:, None]
+        clear = np.isfinite(distance) & (distance > NOTABLE) & mask_controls_with_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
-        share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
-        gain = np.where(on_bound, 0.0, np.minimum(share, miss))
-        totals = np.pad(s.integrate_over_segments(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
-        moved = np.cumsum(totals, axis=1) / s.span
+        relative = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
+        excess = np.where(on_bound, 0.0, np.minimum(relative, distance))
+        totals = np.pad(s.integrate_over_segments(np.copysign(excess, s.control_gradient)), ((0, 0), (1, 0)))
+        running = np.cumsum(totals, axis=1) / s.span
         # The location is that of the largest mean.
-        lasts = average_violation_over_time(s.times, gain)
-        most = lasts == np.max(lasts, axis=1, keepdims=True)
+        averaged = average_violation_over_time(s.times, excess)
+        is_largest = averaged == np.max(averaged, axis=1, keepdims=True)
         violation = np.maximum(
-            np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
+            np.where(is_largest, np.ptp(running, axis=1, keepdims=True), 0.0), averaged * np.sqrt(tolerance)
         )
         worst = worst.select_larger(_locate_largest_hamiltonian_decrease(s, violation, "dH/du of "))
     return worst
@@ -83,8 +83,8 @@ def _compute_control_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Arr
     deviation = scales.phases[s.phase.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
     slope = np.abs(s.control_gradient)
-    missed = np.full_like(slope, np.inf)
-    return np.asarray(np.divide(slope, curvature, out=missed, where=curvature > 0))
+    infinite = np.full_like(slope, np.inf)
+    return np.asarray(np.divide(slope, curvature, out=infinite, where=curvature > 0))
 
 
 def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
@@ -130,15 +130,15 @@ def check_minimum_principle(
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.phase.controls.size:
-            gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
-            worst, searched, loss = worst.select_larger(gain), searched or here, loss + lost
+            gain, phase_loss, was_searched = _find_largest_hamiltonian_decrease(s, scales, tolerance)
+            worst, searched, loss = worst.select_larger(gain), searched or was_searched, loss + phase_loss
     if searched:
         meaning += (
             f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "
             "controls per phase; the search may miss a narrow minimum."
         )
-    found = check_value_within_tolerance("minimum principle", worst, tolerance, meaning)
-    return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
+    condition = check_value_within_tolerance("minimum principle", worst, tolerance, meaning)
+    return replace(condition, loss=loss, unit=unit) if np.isfinite(loss) else condition
 
 
 def _find_largest_hamiltonian_decrease(
@@ -146,9 +146,9 @@ def _find_largest_hamiltonian_decrease(
 ) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.phase.name].deviation, axis=1)
-    gain, own, searched = _search_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
-    lasts = average_violation_over_time(s.times, gain[None])[0]
-    share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
+    gain, smallest_share, searched = _search_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
+    averaged = average_violation_over_time(s.times, gain[None])[0]
+    share = np.maximum(averaged / (scales.cost / s.span + averaged), smallest_share)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
     return Worst(float(share[j]), s.describe_sample(j)), float(s.weights @ gain), searched
@@ -158,29 +158,29 @@ def _search_hamiltonian_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
-    apart = _compute_separable_hamiltonian_decrease(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _draw_separable_controls(s), s.lam)
-    gain = np.fmax(apart, set_nonfinite_to_zero(elsewhere))
-    others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
-    own = np.zeros_like(gain)
-    for other in others:
-        gain = gain + np.interp(s.times, other.times, other.gain)
-        own = np.maximum(own, np.interp(s.times, other.times, other.share))
-    return gain, own, searched
+    separable = _compute_separable_hamiltonian_decrease(s)
+    jumping = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _draw_separable_controls(s), s.lam)
+    gain = np.fmax(separable, set_nonfinite_to_zero(jumping))
+    joint, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
+    share = np.zeros_like(gain)
+    for group in joint:
+        gain = gain + np.interp(s.times, group.times, group.gain)
+        share = np.maximum(share, np.interp(s.times, group.times, group.share))
+    return gain, share, searched
 
 
 def integrate_hamiltonian_excess(solution: Solution) -> float:
     """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
     samples = [s for s in solution.samples().values() if s.has_duration and s.phase.controls.size]
-    found = [_search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples]
-    return float(sum(s.weights @ decrease for s, decrease in zip(samples, found, strict=True)))
+    decreases = [_search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples]
+    return float(sum(s.weights @ decrease for s, decrease in zip(samples, decreases, strict=True)))
 
 
 def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
     """Return the largest decrease of H by other values of its separable controls, according to their slopes."""
-    apart = s.functions.separable_controls
-    lower, upper = (limit[apart, None] for limit in get_control_search_bounds(s))
-    slope, u = s.control_gradient[apart], s.u[apart]
+    separable = s.functions.separable_controls
+    lower, upper = (limit[separable, None] for limit in get_control_search_bounds(s))
+    slope, u = s.control_gradient[separable], s.u[separable]
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
@@ -188,8 +188,8 @@ def _draw_separable_controls(s: PhaseSamples) -> Array:
     """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
     lower, upper = get_control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
-    other = lower[:, None] + (upper - lower)[:, None] * shares
-    return np.where(s.functions.separable_controls[:, None], other, s.u)
+    trial = lower[:, None] + (upper - lower)[:, None] * shares
+    return np.where(s.functions.separable_controls[:, None], trial, s.u)
 
 
 def check_legendre_clebsch(
@@ -203,31 +203,31 @@ def check_legendre_clebsch(
         "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    found = [_find_least_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
-    places = [(value, place) for value, place in found if place is not None]
-    if not places:
-        along = any(np.any(here) for here in singular)
-        nowhere = "no control between its limits" + (" but along singular arcs" if along else "")
-        return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
-    least, place = min(places, key=lambda item: item[0])
+    margins = [_find_least_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
+    known = [(value, where) for value, where in margins if where is not None]
+    if not known:
+        has_singular_arcs = any(np.any(here) for here in singular)
+        location = "no control between its limits" + (" but along singular arcs" if has_singular_arcs else "")
+        return Condition(name, ConditionResult.PASS, 0.0, 0.0, location, meaning, sufficient=True)
+    least, where = min(known, key=lambda item: item[0])
     result = combine_condition_results(least >= tolerance, not least > -tolerance)
-    return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
+    return Condition(name, result, -least, -tolerance, where, meaning, sufficient=True)
 
 
-def _find_least_hessian_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
+def _find_least_hessian_eigenvalue(s: PhaseSamples, candidates: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
     least = np.full(s.times.size, np.inf)
-    bases = compute_free_control_directions(s, _mask_interior_controls(s) & among, unit)
+    bases = compute_free_control_directions(s, _mask_interior_controls(s) & candidates, unit)
     sizes = np.array([basis.shape[1] for basis in bases])
     for size in np.unique(sizes[sizes > 0]):
-        here = np.flatnonzero(sizes == size)
-        basis = np.stack([bases[j] for j in here])
-        reduced = np.swapaxes(basis, 1, 2) @ scaled[here] @ basis
+        samples = np.flatnonzero(sizes == size)
+        basis = np.stack([bases[j] for j in samples])
+        reduced = np.swapaxes(basis, 1, 2) @ scaled[samples] @ basis
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
-        least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
+        least[samples[finite]], least[samples[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
     j = find_lasting_minimum_sample(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
@@ -242,18 +242,18 @@ def check_singular_arcs(
         "phase along which it does not. No sufficient conditions are known for such arcs. Where they meet bang arcs, "
         "an optimal control switches infinitely often (chattering)."
     )
-    total, place = 0.0, "no singular arc of higher order"
-    for s, here, known in zip(samples, singular, determined, strict=True):
-        beyond = here & ~known
-        lengths = np.sum(beyond * s.weights, axis=1) / s.span
-        if lengths.size and lengths.max() > total:
+    largest_share, location = 0.0, "no singular arc of higher order"
+    for s, is_singular, is_determined in zip(samples, singular, determined, strict=True):
+        undetermined = is_singular & ~is_determined
+        lengths = np.sum(undetermined * s.weights, axis=1) / s.span
+        if lengths.size and lengths.max() > largest_share:
             i = int(np.argmax(lengths))
-            total = float(lengths[i])
-            j = int(np.flatnonzero(beyond[i])[0])
+            largest_share = float(lengths[i])
+            j = int(np.flatnonzero(undetermined[i])[0])
             start = s.describe_sample(j, s.phase.controls.labels[i])
-            place = f"from {start}, {100 * total:.1f} % of the phase"
-    result = ConditionResult.PASS if total <= tolerance else ConditionResult.INCONCLUSIVE
-    return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
+            location = f"from {start}, {100 * largest_share:.1f} % of the phase"
+    result = ConditionResult.PASS if largest_share <= tolerance else ConditionResult.INCONCLUSIVE
+    return Condition("singular arcs", result, largest_share, tolerance, location, meaning, sufficient=True)
 
 
 @lru_cache(maxsize=8)
@@ -268,11 +268,11 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
         / s.hamiltonian_change_by_control[:, None]
     )
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
-    inside = _mask_interior_controls(s)
-    some, whole = mask_singular_controls(s, inside, unit, tolerance)
+    interior = _mask_interior_controls(s)
+    has_free_direction, all_free = mask_singular_controls(s, interior, unit, tolerance)
     curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
-    singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
-    return remove_short_intervals_from_mask(s.times, singular), inside & whole
+    singular = has_free_direction & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
+    return remove_short_intervals_from_mask(s.times, singular), interior & all_free
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:

@@ -58,7 +58,7 @@ class KinkPoint:
 
 def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> KinkPoint | None:
     """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
-    rests = []
+    candidates = []
     for s in samples:
         kinks = find_nonsmooth_operations(problem, problem.phases[s.phase.name])
         if kinks is None:
@@ -67,11 +67,11 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in find_sign_changes(row[signed]):
-                found = _find_jump_of_state_rates(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
-                if found is not None:
-                    return found
-        rests.append(_find_longest_interval_on_kink(s, kinks, values))
-    return max(filter(None, rests), key=lambda rest: rest.of_states, default=None)
+                jump = _find_jump_of_state_rates(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                if jump is not None:
+                    return jump
+        candidates.append(_find_longest_interval_on_kink(s, kinks, values))
+    return max(filter(None, candidates), key=lambda rest: rest.of_states, default=None)
 
 
 def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
@@ -111,13 +111,13 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     of the Lagrangian that are proportional to the step.
     """
     ends, problem = scales.ends, scales.ends.solution.need_problem("verify")
-    combined = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
-    if combined:
+    has_boundary_kinks = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
+    if has_boundary_kinks:
         ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
     of_ends = [
         ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in STEPS
     ]
-    found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
+    pairs = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
         axes = moves = scales.phases[s.phase.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.phase.name]) is not None:
@@ -126,14 +126,14 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         # If sums and differences of directions meet a kink, some of these directions meet it, too.
         if np.any(_mask_kinks(along[0], along[1], scales.cost)):
             along = _compute_hamiltonian_differences_by_step(s, moves)
-        found.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", along))
-    for where, (coarse, fine) in found:
-        share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
-        if share > 0:
-            return KinkPoint(share, where)
+        pairs.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", along))
+    for where, (coarse, fine) in pairs:
+        decrease = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
+        if decrease > 0:
+            return KinkPoint(decrease, where)
     excess = (
         min(map(_find_largest_second_difference_excess, of_ends)) / scales.cost
-        if combined and of_ends[0].size
+        if has_boundary_kinks and of_ends[0].size
         else 0.0
     )
     where = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
@@ -152,9 +152,9 @@ def _build_unit_directions(n: int) -> tuple[Array, Array]:
     fixed = np.random.default_rng(0).standard_normal((n, FIXED_DIRECTIONS))
     base = np.hstack([np.eye(n), fixed / np.linalg.norm(fixed, axis=0)])
     i, j = np.triu_indices(base.shape[1], 1)
-    every = np.hstack([base, base[:, i] + base[:, j], base[:, i] - base[:, j]])
-    lengths = np.linalg.norm(every, axis=0)
-    return every / np.maximum(lengths, ROUNDING), lengths
+    directions = np.hstack([base, base[:, i] + base[:, j], base[:, i] - base[:, j]])
+    lengths = np.linalg.norm(directions, axis=0)
+    return directions / np.maximum(lengths, ROUNDING), lengths
 
 
 def _find_largest_second_difference_excess(differences: Array) -> float:
@@ -197,17 +197,17 @@ def _find_jump_of_state_rates(
     def evaluate_arguments(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.phase.x(times), s.phase.applied(times))
 
-    aside = SAME_TIME * s.span  # samples may belong to another segment
-    at = find_zero_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
-    sides = np.clip(np.append(at - aside, at + aside), *s.phase.breaks[[0, -1]])
+    offset = SAME_TIME * s.span  # samples may belong to another segment
+    crossing = find_zero_times(evaluate_arguments, np.array([i]), between[:1] + offset, between[1:] - offset)
+    sides = np.clip(np.append(crossing - offset, crossing + offset), *s.phase.breaks[[0, -1]])
     x, u = s.phase.x(sides), np.repeat(s.phase.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
-    size = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
-    if not size > tolerance:
+    jump = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
+    if not jump > tolerance:
         return None
-    where = f"{s.describe_time(float(at[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump"
-    return KinkPoint(size, where, True)
+    where = f"{s.describe_time(float(crossing[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump"
+    return KinkPoint(jump, where, True)
 
 
 def _find_longest_interval_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
@@ -215,10 +215,10 @@ def _find_longest_interval_on_kink(s: PhaseSamples, kinks: KinkFunctions, values
     sizes = replace_tiny_by_one(np.max(np.abs(values), axis=1))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
-    long = lengths > MINOR
-    if not np.any(long):
+    is_long = lengths > MINOR
+    if not np.any(is_long):
         return None
-    of_states = bool(np.any(long & kinks.is_state_dependent))  # kinks in states have priority
+    of_states = bool(np.any(is_long & kinks.is_state_dependent))  # kinks in states have priority
     i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.describe_sample(j)}: stays on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"

@@ -60,7 +60,7 @@ CONDITION_TOLERANCE = 1e-5
 
 _PASS, _INCONCLUSIVE = ConditionResult.PASS, ConditionResult.INCONCLUSIVE
 
-_SECOND = ("second order", "switching times")
+_SECOND_ORDER = ("second order", "switching times")
 SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
@@ -120,64 +120,56 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
-    known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
-    if known is None:
-        known = _check_optimality_conditions(solution, tol)
+    verdict = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
+    if verdict is None:
+        verdict = _check_optimality_conditions(solution, tol)
         if tol == CONDITION_TOLERANCE:  # the only field of a solution that is set after its construction
-            object.__setattr__(solution, "verdict", known)
-    return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
+            object.__setattr__(solution, "verdict", verdict)
+    return verdict if solution.bound is None else replace(verdict, bound=solution.bound, gap=solution.gap)
 
 
 def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_stored_data(solution)
     samples = list(solution.samples().values())
     ends = get_endpoint_gradients(solution)
-    amount = float(EndPoints.from_solution(solution, samples).compute_endpoint_changes()[-1])
-    with_costates = has_costates(samples, ends, amount)
+    size = float(EndPoints.from_solution(solution, samples).compute_endpoint_changes()[-1])
+    with_costates = has_costates(samples, ends, size)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_scale(amount, choose_cell_edges_at_narrow_features(problem, s)) for s in samples]
+    samples = [s.with_cost_scale(size, choose_cell_edges_at_narrow_features(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
-    lasting = [s for s in samples if s.has_duration]
-    kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
-    limits = [feasibility.check_trajectory_limits(solution, samples, scales, tol)]
-    along = (list_table_calls(problem, phase) for phase in problem.phases.values())
-    if any(along) or list_boundary_table_calls(problem):
-        limits.append(feasibility.check_table_ranges(solution))
+    nonempty = [s for s in samples if s.has_duration]
     costs = [feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol)]
-    costs.append(check_stored_data(stored, solution, kept, tol))
-    trajectory = [
-        feasibility.check_dynamics(samples, scales, tol),
-        _combine_optimality_conditions("limits", limits),
-        feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _combine_optimality_conditions("cost", costs),
-    ]
+    stored_worst = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
+    costs.append(check_stored_data(stored, solution, stored_worst, tol))
+    trajectory = _check_trajectory(solution, samples, ends, scales, tol)
+    cost = _combine_optimality_conditions("cost", costs)
     first = _check_first_order_conditions(solution, samples, ends, scales, tol)
-    kink = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
+    kink = None if missing.value or not with_costates else find_concave_kink(nonempty, scales)
     concave = kink if kink is not None and kink.resolved else None
-    least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
-    if least:
-        first = [_pass_condition_by_lower_bound(c) for c in first]
-    extremal = (*trajectory[:3], *first)
+    is_least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
+    if is_least:
+        first = [_resolve_condition_by_lower_bound(c) for c in first]
+    extremal = (*trajectory, *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
-        second = [_create_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
-        second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
+        second = [_create_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND_ORDER]
+        second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, nonempty, tol))
     elif with_costates and not missing.value:
         second = _check_second_order_and_switching_times(solution, samples, ends, scales, tol)
     else:
-        second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+        second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND_ORDER]
     checked = [*first, *second]
-    if len(lasting) < len(samples):
+    if len(nonempty) < len(samples):
         vanished = next(s.phase.name for s in samples if not s.has_duration)
         checked = [_mark_condition_of_zero_duration_phase(c, vanished) for c in checked]
-    if least:
-        checked = [_pass_condition_by_lower_bound(c) for c in checked]
+    if is_least:
+        checked = [_resolve_condition_by_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
-    if unproved and not fails and with_costates and _is_solution_unique(problem, lasting):
+    if unproved and not fails and with_costates and _is_solution_unique(problem, nonempty):
         checked = [_replace_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     skipped = concave is not None or missing.value
-    rough = None if skipped else find_nonsmooth_point(problem, lasting, tol) or kink
+    rough = None if skipped else find_nonsmooth_point(problem, nonempty, tol) or kink
     failing = any(c.result is ConditionResult.FAIL for c in checked)
     kinks = check_concave_kinks(concave or rough, failing, falls=concave is not None)
     if rough is not None:
@@ -189,29 +181,45 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         ]
     if not with_costates:
         checked = [_mark_condition_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
-    conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
+    conditions = (*trajectory, cost, *checked[: len(first)], kinks, *checked[len(first) :])
     unchecked, status = "" if with_costates else "no costates", solution.status
     failure = "" if status.solved else f"{status.value}: {status.remedy}"
     return Verdict(solution.problem_name, conditions, unchecked, solver_failure=failure)
 
 
+def _check_trajectory(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
+) -> list[Condition]:
+    """Return the conditions that trajectory and parameters satisfy dynamics, limits and boundary conditions."""
+    problem = solution.need_problem("verify")
+    limits = [feasibility.check_trajectory_limits(solution, samples, scales, tol)]
+    table_calls = (list_table_calls(problem, phase) for phase in problem.phases.values())
+    if any(table_calls) or list_boundary_table_calls(problem):
+        limits.append(feasibility.check_table_ranges(solution))
+    return [
+        feasibility.check_dynamics(samples, scales, tol),
+        _combine_optimality_conditions("limits", limits),
+        feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
+    ]
+
+
 def _check_first_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
-    lasting = [s for s in samples if s.has_duration]
-    gradient = (
-        costates.check_adjoint_equation(lasting, scales, tol)
-        .select_larger(costates.check_transversality(lasting, ends, scales))
-        .select_larger(controls.check_control_stationarity(lasting, scales, tol))
+    nonempty = [s for s in samples if s.has_duration]
+    stationarity = (
+        costates.check_adjoint_equation(nonempty, scales, tol)
+        .select_larger(costates.check_transversality(nonempty, ends, scales))
+        .select_larger(controls.check_control_stationarity(nonempty, scales, tol))
         .select_larger(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.check_switching_signs(lasting, scales).select_larger(
-        costates.check_complementarity(solution, lasting, ends, scales)
+    active_set = controls.check_switching_signs(nonempty, scales).select_larger(
+        costates.check_complementarity(solution, nonempty, ends, scales)
     )
     return [
-        check_value_within_tolerance("stationarity", gradient, tol, _STATIONARITY),
-        check_value_within_tolerance("active set", active, tol, _ACTIVE_SET),
-        controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
+        check_value_within_tolerance("stationarity", stationarity, tol, _STATIONARITY),
+        check_value_within_tolerance("active set", active_set, tol, _ACTIVE_SET),
+        controls.check_minimum_principle(nonempty, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
 
@@ -226,14 +234,14 @@ def _combine_optimality_conditions(name: str, parts: list[Condition]) -> Conditi
 def _check_second_order_and_switching_times(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
-    lasting = [s for s in samples if s.has_duration]
-    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    switches = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
-    switches.append(check_switching_times(solution, samples, ends, scales))
+    nonempty = [s for s in samples if s.has_duration]
+    has_switches = bool(solution.structure) or second_order.is_bang_bang(nonempty)
+    switch_conditions = [second_order.check_strict_bang_bang_property(nonempty)] if has_switches else []
+    switch_conditions.append(check_switching_times(solution, samples, ends, scales))
     parts = check_second_order_conditions(solution, samples, ends, tol)
     return [
         _describe_undetermined_arcs(_combine_optimality_conditions("second order", parts), parts),
-        _combine_optimality_conditions("switching times", switches),
+        _combine_optimality_conditions("switching times", switch_conditions),
     ]
 
 
@@ -249,12 +257,12 @@ def check_second_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
     """Return the second variation, the Legendre-Clebsch condition and the conditions of singular arcs."""
-    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_duration]
+    problem, nonempty = solution.need_problem("verify"), [s for s in samples if s.has_duration]
     limited, limited_ends = impose_constraints_active_at_ends(solution, samples, ends)
-    found = _check_second_variation(limited, samples, limited_ends)
-    if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
-        found = [_pass_condition_by_convexity(c) for c in found]
-    return [*found, *_check_singular_arcs(problem, lasting, tol)]
+    conditions = _check_second_variation(limited, samples, limited_ends)
+    if any(c.result is not ConditionResult.PASS for c in conditions) and is_convex(problem):
+        conditions = [_mark_inconclusive_by_convexity(c) for c in conditions]
+    return [*conditions, *_check_singular_arcs(problem, nonempty, tol)]
 
 
 def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
@@ -262,15 +270,15 @@ def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: flo
     undetermined = [controls.mask_undetermined_controls(s, tol) for s in samples]
     singular = [mask for mask, _ in undetermined]
     arcs = [
-        analyse_singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)
+        analyse_singular_arcs(problem, s, *masks, tol) for s, masks in zip(samples, undetermined, strict=True)
     ]
     determined = [
-        mask_first_order_singular_arcs(s, found, tol) for s, found in zip(samples, arcs, strict=True)
+        mask_first_order_singular_arcs(s, own_arcs, tol) for s, own_arcs in zip(samples, arcs, strict=True)
     ]
     return [
         controls.check_legendre_clebsch(samples, tol, singular),
         controls.check_singular_arcs(samples, tol, singular, determined),
-        check_generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
+        check_generalised_legendre_clebsch([arc for own_arcs in arcs for arc in own_arcs], tol),
     ]
 
 
@@ -280,13 +288,13 @@ def _check_second_variation(
     if not second_order.explain_why_not_bang_bang(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
     solution = free_touch_point_times(solution)
-    changed = [s for s in samples if solution.phases[s.phase.name] is not s.phase]
-    samples = [replace(s, phase=solution.phases[s.phase.name]) if s in changed else s for s in samples]
+    freed = [s for s in samples if solution.phases[s.phase.name] is not s.phase]
+    samples = [replace(s, phase=solution.phases[s.phase.name]) if s in freed else s for s in samples]
     rounding = estimate_cost_rounding_error(samples)
     cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
-        why = "a derivative of the problem is not finite"
-        return [_create_inconclusive_condition("second order", why, _CANNOT_VARY)]
+        reason = "a derivative of the problem is not finite"
+        return [_create_inconclusive_condition("second order", reason, _CANNOT_VARY)]
     return [check_reduced_hessian(solution, samples, cone)]
 
 
@@ -294,16 +302,16 @@ def _replace_condition_result(condition: Condition, result: ConditionResult, rea
     return replace(condition, result=result, where=f"{condition.where}; {reason}")
 
 
-def _pass_condition_by_convexity(condition: Condition) -> Condition:
-    """Return a passed condition if first-order ones suffice; negative curvature is then a discretisation error."""
+def _mark_inconclusive_by_convexity(condition: Condition) -> Condition:
+    """Return a failed sufficient condition as inconclusive: negative curvature is a discretisation error then."""
     if condition.result is _PASS or not condition.sufficient:
         return condition
     reason = "the problem is convex, but the minimum may not be unique"
     return _replace_condition_result(condition, _INCONCLUSIVE, reason)
 
 
-def _pass_condition_by_lower_bound(condition: Condition) -> Condition:
-    """Return a passed condition if no trajectory can have a lower cost; costates are then rounding errors."""
+def _resolve_condition_by_lower_bound(condition: Condition) -> Condition:
+    """Return a necessary condition as passed, a sufficient one as inconclusive; costates are rounding errors then."""
     if condition.result is _PASS:
         return condition
     result = _INCONCLUSIVE if condition.sufficient else _PASS
@@ -312,8 +320,8 @@ def _pass_condition_by_lower_bound(condition: Condition) -> Condition:
 
 
 def _is_solution_unique(problem: Problem, samples: list[PhaseSamples]) -> bool:
-    known = {s.phase.name: mask_bang_bang_controls(s) for s in samples}
-    return len(known) == len(problem.phases) and has_unique_solution(problem, known)
+    bang_bang = {s.phase.name: mask_bang_bang_controls(s) for s in samples}
+    return len(bang_bang) == len(problem.phases) and has_unique_solution(problem, bang_bang)
 
 
 def _create_inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
@@ -321,8 +329,8 @@ def _create_inconclusive_condition(name: str, where: str, meaning: str) -> Condi
 
 
 def _mark_condition_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
-    found = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
-    return replace(found, loss=None, unit="")
+    marked = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
+    return replace(marked, loss=None, unit="")
 
 
 def _mark_condition_of_zero_duration_phase(condition: Condition, phase: str) -> Condition:

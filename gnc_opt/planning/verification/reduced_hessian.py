@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -111,14 +112,14 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
         meshes[s.phase.name] = _refine_mesh_at_singular_arcs(solution, s, meshes[s.phase.name])
 
     def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
-        found = choose_variable_scales(transcription, problem, x)
+        scales = choose_variable_scales(transcription, problem, x)
         for s in samples:
             part = transcription.parts[s.phase.name]
-            for places in (part.collocation.boundary_states, part.collocation.point_states):
-                found[places] = compute_state_ranges(s)[:, None]
-            found[part.collocation.point_controls] = s.control_span[:, None]
-            found[part.times[part.times < transcription.n_variables]] = s.span
-        return found
+            for states in (part.collocation.boundary_states, part.collocation.point_states):
+                scales[states] = compute_state_ranges(s)[:, None]
+            scales[part.collocation.point_controls] = s.control_span[:, None]
+            scales[part.times[part.times < transcription.n_variables]] = s.span
+        return scales
 
     point = ProgramPoint.from_solution(solution, meshes, choose_variation_scales, rounding)
     cone = fix_vector_control_directions(CriticalCone.from_program_point(point), samples)
@@ -132,52 +133,45 @@ def estimate_cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
 
 def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
     """Return the condition that no variation in the critical cone lowers the cost to second order."""
-    name = "second order"
     meaning = (
         "The cost must have positive curvature along every variation of controls, times and parameters that satisfies "
         "the active limits. The margin is the smallest curvature of the Lagrangian on the solution's mesh, relative to "
         "the median row of its Hessian. If it is negative, a nearby trajectory has a lower cost."
     )
-
-    def make_second_order_condition(
-        result: ConditionResult, value: float, where: str, tolerance: float = -NEGLIGIBLE
-    ) -> Condition:
-        return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
-
+    condition = partial(Condition, "second order", tolerance=-NEGLIGIBLE, meaning=meaning, sufficient=True)
     # Less curvature may come from first-order errors, or along singular arcs from oscillation between the nodes.
     steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else MINOR
-    beyond, least = min(
+    doubt, pulse_curvature = min(
         (find_cost_reducing_final_pulse(cone, s) for s in samples),
         key=lambda end: end[1],
         default=("", np.inf),
     )
-    if least < -MINOR:
-        return make_second_order_condition(ConditionResult.FAIL, -least, beyond)
-    rest = cone.unit, cone.further
-    free = minimise_curvature(cone.point, cone.strong, *rest)
-    if np.isnan(free.value) or free.is_positive:
-        jumping = "" if solution.structure else _find_bang_bang_control(samples)
-        beyond = jumping or beyond
-        result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
-        if np.isnan(free.value):
-            beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
-            return make_second_order_condition(result, 0.0, beyond, 0.0)
-        place = _describe_largest_variation_component(cone.point, solution, free.direction)
-        return make_second_order_condition(result, -free.value, beyond or place)
+    if pulse_curvature < -MINOR:
+        return condition(ConditionResult.FAIL, -pulse_curvature, where=doubt)
+    space = cone.unit, cone.extra_rows
+    wide = minimise_curvature(cone.point, cone.strong, *space)
+    if np.isnan(wide.value) or wide.is_positive:
+        if not solution.structure:
+            doubt = _find_bang_bang_control(samples) or doubt
+        result = ConditionResult.INCONCLUSIVE if doubt else ConditionResult.PASS
+        if np.isnan(wide.value):
+            doubt = doubt or "no degree of freedom: the conditions determine all unknowns"
+            return condition(result, 0.0, tolerance=0.0, where=doubt)
+        location = _describe_largest_variation_component(cone.point, solution, wide.direction)
+        return condition(result, -wide.value, where=doubt or location)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
-    bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
-    for found in (free, bound):
-        admitted = (cone.is_direction_in_cone(sign * found.direction, samples) for sign in (1.0, -1.0))
-        if found.is_negative(steep) and any(admitted):
-            place = _describe_largest_variation_component(cone.point, solution, found.direction)
-            result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
-            if cone.is_curvature_multiplier_dependent(found.direction):
+    narrow = minimise_curvature(cone.point, cone.strong | cone.weak, *space) if np.any(cone.weak) else wide
+    for curvature in (wide, narrow):
+        is_in_cone = (cone.is_direction_in_cone(sign * curvature.direction, samples) for sign in (1.0, -1.0))
+        if curvature.is_negative(steep) and any(is_in_cone):
+            location = _describe_largest_variation_component(cone.point, solution, curvature.direction)
+            result, reason = ConditionResult.FAIL, _describe_cost_decrease(curvature)
+            if cone.is_curvature_multiplier_dependent(curvature.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
-            return make_second_order_condition(result, -found.value, place + reason)
-    place = _describe_largest_variation_component(cone.point, solution, free.direction)
-    return make_second_order_condition(
-        ConditionResult.INCONCLUSIVE, -free.value, place + _explain_inconclusive_curvature(free, steep)
-    )
+            return condition(result, -curvature.value, where=location + reason)
+    location = _describe_largest_variation_component(cone.point, solution, wide.direction)
+    reason = _explain_inconclusive_curvature(wide, steep)
+    return condition(ConditionResult.INCONCLUSIVE, -wide.value, where=location + reason)
 
 
 def _describe_cost_decrease(curvature: Curvature) -> str:
@@ -196,8 +190,8 @@ def _explain_inconclusive_curvature(curvature: Curvature, steep: float) -> str:
 
 
 def _increase_mesh_degrees_for_variations(mesh: Mesh) -> Mesh:
-    least = -(-PHASE_MIN_POINTS // mesh.segments)
-    return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
+    min_degree = -(-PHASE_MIN_POINTS // mesh.segments)
+    return Mesh(mesh.breaks, tuple(max(n, min_degree) for n in mesh.degrees), mesh.movable)
 
 
 def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
@@ -206,11 +200,11 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     Near active limits a finer mesh would have weakly active nodes; if arcs are prescribed, the mesh is unchanged.
     """
     singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
-    limited = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
-    near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
-    edges = edges[~near[np.searchsorted(s.phase.breaks, edges, "right") - 1]]
-    fixed = impose_touch_points(solution).phases[s.phase.name].numbers.arcs is not None
-    if fixed or not (np.any(singular) or edges.size):
+    has_limit = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
+    is_near_limit = np.convolve(s.segment_maxima(has_limit), np.ones(3), "same") > 0
+    edges = edges[~is_near_limit[np.searchsorted(s.phase.breaks, edges, "right") - 1]]
+    is_fixed = impose_touch_points(solution).phases[s.phase.name].numbers.arcs is not None
+    if is_fixed or not (np.any(singular) or edges.size):
         return mesh
     if np.any(singular):
         return refine_mesh_at_singular_arc_ends(mesh, singular)
@@ -244,43 +238,43 @@ def _has_partly_singular_segment(s: PhaseSamples) -> bool:
 def _describe_largest_variation_component(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
-        phase, places = solution.phases[name], part.collocation.point_controls
-        if places.size and np.max(size[places]) >= np.max(size):
-            i, j = np.unravel_index(np.argmax(size[places]), places.shape)
+        phase, indices = solution.phases[name], part.collocation.point_controls
+        if indices.size and np.max(size[indices]) >= np.max(size):
+            i, j = np.unravel_index(np.argmax(size[indices]), indices.shape)
             time = phase.initial_time + part.collocation.normalised_point_times[j] * phase.duration
             return f"phase {name}, t = {time:.6g} {time_unit(solution)}, {phase.controls.labels[i]}"
     return point.variables.labels[int(np.argmax(size))]
 
 
-def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
-    """Return the smallest curvature of the Lagrangian with ``held`` (n_variables + n_constraints,) fixed."""
-    space = NullSpace.with_fixed_variables(point, held, unit, further)
+def minimise_curvature(point: ProgramPoint, fixed: Mask, unit: Any = None, extra: Any = None) -> Curvature:
+    """Return the smallest curvature of the Lagrangian with ``fixed`` (n_variables + n_constraints,) fixed."""
+    space = NullSpace.with_fixed_variables(point, fixed, unit, extra)
     hessian = space.project_to_null_space(point.lagrangian_hessian)
-    plain = (
+    untransformed = (
         hessian
         if unit is None
-        else NullSpace.with_fixed_variables(point, held).project_to_null_space(point.lagrangian_hessian)
+        else NullSpace.with_fixed_variables(point, fixed).project_to_null_space(point.lagrangian_hessian)
     )
-    sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
+    row_norms = np.sqrt(np.asarray((untransformed**2).sum(axis=1)))
     # A single large row, e.g. of a parameter far from its origin, is not representative.
-    typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
+    typical = float(np.median(row_norms[row_norms > 0])) if np.any(row_norms > 0) else 1.0
     typical = max(typical, point.rounding)  # with vanishing costates, rows are not larger
     # Rows of the integrals of control variations (Goh) are steep.
-    steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
+    steep = bool(np.max(row_norms, initial=0.0) >= STEEP * typical)
     direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = compute_curvature(hessian, direction)
-    whole = np.asarray(space.unit @ direction)
+    variation = np.asarray(space.unit @ direction)
     # Integrals (Goh) may have high peaks, which determine the step only if no single variable varies.
-    single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
-    largest = float(np.max(peaks[single], initial=0.0))
-    if largest <= ROUNDING * np.max(peaks):
-        largest = float(np.max(peaks))
+    is_single, magnitudes = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(variation)
+    largest = float(np.max(magnitudes[is_single], initial=0.0))
+    if largest <= ROUNDING * np.max(magnitudes):
+        largest = float(np.max(magnitudes))
     gain = -0.5 * curvature * (GAIN_STEP_SHARE / largest) ** 2 / point.scaling.objective
     # Relative to the median row, which is small for inactive controls.
-    least = SMALL * point.rounding / point.scaling.objective
-    return Curvature(curvature / typical, share, whole / largest, gain, least)
+    least_gain = SMALL * point.rounding / point.scaling.objective
+    return Curvature(curvature / typical, share, variation / largest, gain, least_gain)
 
 
 def _find_direction_of_least_curvature(
@@ -290,23 +284,23 @@ def _find_direction_of_least_curvature(
     n = hessian.shape[0]
     if n == 0:
         return None
-    if steep and (found := _find_negative_curvature_direction(space, hessian)) is not None:
-        return found
+    if steep and (steep_direction := _find_negative_curvature_direction(space, hessian)) is not None:
+        return steep_direction
     inverse = space.invert_projected_hessian(hessian + shift * scipy.sparse.eye_array(n))
-    start = inverse(np.random.default_rng(0).standard_normal(n))
-    values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
+    start_vector = inverse(np.random.default_rng(0).standard_normal(n))
+    values, vectors = run_lanczos(inverse, start_vector, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * shift < NEGLIGIBLE:
         return None
     # 1 / (curvature + shift) is negative for curvatures below -shift, else largest for the smallest curvature.
-    downwards = values < -NEGLIGIBLE * np.max(np.abs(values))
-    chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
-    direction = inverse(chosen)
+    is_negative = values < -NEGLIGIBLE * np.max(np.abs(values))
+    vector = vectors[:, np.argmin(values)] if np.any(is_negative) else vectors[:, np.argmax(values)]
+    direction = inverse(vector)
     direction = np.asarray(direction / np.linalg.norm(direction))
     value = float(direction @ (hessian @ direction))
     if NEGLIGIBLE < value < NOTABLE * shift:  # a negative curvature far below the shift is not distinguished
-        other = _find_direction_of_least_curvature(space, hessian, False, value)
-        if other is not None and other @ (hessian @ other) < 0:
-            return other
+        refined = _find_direction_of_least_curvature(space, hessian, False, value)
+        if refined is not None and refined @ (hessian @ refined) < 0:
+            return refined
     return direction
 
 

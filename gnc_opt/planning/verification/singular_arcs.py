@@ -81,11 +81,11 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
 
 def mask_first_order_singular_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
     """Return where second derivatives of switching functions determine controls (m, n_samples), on arcs of a phase."""
-    found = np.zeros((s.phase.controls.size, s.times.size), dtype=bool)
+    mask = np.zeros((s.phase.controls.size, s.times.size), dtype=bool)
     for arc in arcs:
         determined = arc.order == 1 and not arc.why and arc.least > tolerance
-        found[list(arc.channels), slice(*arc.samples)] = determined
-    return found
+        mask[list(arc.channels), slice(*arc.samples)] = determined
+    return mask
 
 
 def analyse_singular_arcs(
@@ -93,67 +93,67 @@ def analyse_singular_arcs(
 ) -> list[SingularArc]:
     """Return the results of arcs with interior controls without curvature of H; bool arrays (m, n_samples)."""
     singular = singular & inside
-    found = []
+    arcs = []
     for first, last in find_equal_value_intervals(np.vstack([singular, inside])):
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > MINOR * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
-            here = np.arange(first, last)
-            found.append(_analyse_singular_arc(problem, s, channels, regular, here, tolerance))
-    return found
+            span = np.arange(first, last)
+            arcs.append(_analyse_singular_arc(problem, s, channels, regular, span, tolerance))
+    return arcs
 
 
 def _analyse_singular_arc(
-    problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
+    problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, span: Indices, tolerance: float
 ) -> SingularArc:
     labels = ", ".join(s.phase.controls.labels[i] for i in channels)
-    place = f"phase {s.phase.name}, {labels} from {s.describe_times(*s.times[here[[0, -1]]])}"
-    own, others = tuple(channels.tolist()), tuple(regular.tolist())
-    arc = partial(SingularArc, place, channels=own, samples=(int(here[0]), int(here[-1]) + 1))
-    key = "derivatives of switching functions", s.phase.name, own, others
+    location = f"phase {s.phase.name}, {labels} from {s.describe_times(*s.times[span[[0, -1]]])}"
+    indices, regular_controls = tuple(channels.tolist()), tuple(regular.tolist())
+    arc = partial(SingularArc, location, channels=indices, samples=(int(span[0]), int(span[-1]) + 1))
+    key = "derivatives of switching functions", s.phase.name, indices, regular_controls
     derivatives = problem.memoize(key, lambda: SwitchingFunctionDerivatives(s, channels, regular))
     if derivatives.coupled:
-        least = _compute_singular_curvature(s, channels, regular, here)
-        bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"
-        return arc(least=least, why=COUPLED + (bends if least < -EQUAL else ""))
-    flat = 0.0
+        smallest = _compute_singular_curvature(s, channels, regular, span)
+        note = f"; H has negative curvature along both, {-smallest:.1e} of H: fast pulses gain at most an eighth of it"
+        return arc(least=smallest, why=COUPLED + (note if smallest < -EQUAL else ""))
+    first_size = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
         function = derivatives.differentiate_switching_function_by_controls(j)
         if function is None:
             return arc(why=f"{TOO_LARGE} {j}")
-        matrices = _evaluate_scaled_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
+        matrices = _evaluate_scaled_matrices(s, channels, span, function) * np.ptp(s.times[span]) ** j
         size = float(np.max(np.abs(matrices)))
-        flat = size if j == 0 else flat
+        first_size = size if j == 0 else first_size
         if size <= tolerance:
             continue
-        if SMALL * size <= flat:  # time derivatives of a curvature that only becomes small
+        if SMALL * size <= first_size:  # time derivatives of a curvature that only becomes small
             return arc(why=NOT_AFFINE)
         if j % 2:
             return arc(least=-size)
-        signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
-        least = float(np.min(np.linalg.eigvalsh(signed)))
-        why = "" if abs(least) > tolerance else f"the matrix of order k = {j // 2} is singular"
-        return arc(j // 2, least, why)
+        matrix = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
+        smallest = float(np.min(np.linalg.eigvalsh(matrix)))
+        why = "" if abs(smallest) > tolerance else f"the matrix of order k = {j // 2} is singular"
+        return arc(j // 2, smallest, why)
     return arc(why=f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
-def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, span: Indices) -> float:
     """Return the smallest curvature of H along singular controls with optimal regular ones, relative to H."""
-    unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
-    hessian = hessian * np.outer(unit, unit) / s.hamiltonian_scale
+    scale, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, span], -1, 0)
+    hessian = hessian * np.outer(scale, scale) / s.hamiltonian_scale
     cross = hessian[:, regular[:, None], channels]
-    own = hessian[:, regular[:, None], regular]
-    schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(own, hermitian=True) @ cross
+    among_regular = hessian[:, regular[:, None], regular]
+    schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(among_regular, hermitian=True) @ cross
     return float(np.min(np.linalg.eigvalsh(schur)))
 
 
-def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
+def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, span: Indices, function: Any) -> Array:
     """Return matrices (n_samples, m, m) at samples of an arc, over control ranges and relative to H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-    at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
-    flat = evaluate_casadi_batch(function, here.size, *at, numbers)
+    trajectory = s.times[None, span], s.x[:, span], s.u[:, span], s.lam[:, span]
+    values = evaluate_casadi_batch(function, span.size, *trajectory, numbers)
     scale = s.control_scale[channels]
-    matrices = flat.T.reshape(here.size, channels.size, channels.size)
+    matrices = values.T.reshape(span.size, channels.size, channels.size)
     return np.asarray(matrices * np.outer(scale, scale) / s.hamiltonian_scale)
 
 

@@ -48,25 +48,25 @@ def recompute_stored_data(solution: Solution) -> Solution:
     """
     problem = solution.need_problem("verify")
     _require_matching_problem_sizes(problem, solution)
-    stated = {name: _recompute_stored_phase_data(problem, solution, name) for name in problem.phases}
+    phases = {name: _recompute_stored_phase_data(problem, solution, name) for name in problem.phases}
     checked = replace(
         solution,
         maximised=problem.sense < 0,
-        phases=stated,
+        phases=phases,
         free_parameters=problem.parameters,
         constraint_labels=problem.constraint_labels(),
     )
-    measured = stated | {
+    integrated = phases | {
         name: replace(
             phase,
             integrals=integrate_cost_terms(PhaseSamples.from_phase(phase, checked.phase_functions(name))),
         )
-        for name, phase in stated.items()
+        for name, phase in phases.items()
         if phase.integral_labels
     }
-    weights = get_endpoint_gradients(replace(checked, phases=measured)).integrals
-    weighed = {name: replace(phase, integral_weights=weights[name]) for name, phase in measured.items()}
-    return replace(checked, phases=weighed)
+    weights = get_endpoint_gradients(replace(checked, phases=integrated)).integrals
+    weighted = {name: replace(phase, integral_weights=weights[name]) for name, phase in integrated.items()}
+    return replace(checked, phases=weighted)
 
 
 def get_endpoint_gradients(solution: Solution) -> EndGradients:
@@ -99,9 +99,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         for what in _EXACT:
             values = (_get_stored_value_arrays(owner, what) for owner in (stored.phases[name], phase))
             for a, b in zip(*values, strict=True):
-                off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
-                if off > worst.value:
-                    worst = Worst(off, f"phase {name}, {what}")
+                difference = float(np.max(_compute_relative_difference(a, b), initial=0.0))
+                if difference > worst.value:
+                    worst = Worst(difference, f"phase {name}, {what}")
     return check_value_within_tolerance(
         "stored numbers",
         worst,
@@ -120,17 +120,17 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
     worst = NOTHING
     for s in samples:
         phase, share = s.phase, s.state_scale / s.cost_scale
-        kept = [
+        comparisons = [
             ("the start of segment", phase.lam_start, phase.lam(phase.breaks[:-1], "right")),
             ("the end of segment", phase.lam_end, phase.lam(phase.breaks[1:], "left")),
         ]
         if phase.scheme == "LG":
-            kept.append(("point", phase.point_costates, phase.lam(phase.point_times)))
-        for what, values, polynomial in kept:
-            off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
-            i, k = np.unravel_index(np.argmax(off), off.shape)
-            place = f"phase {phase.name}, {phase.states.labels[i]}, costate at {what} {k + 1}"
-            worst = worst.select_larger(Worst(float(off[i, k]), place))
+            comparisons.append(("point", phase.point_costates, phase.lam(phase.point_times)))
+        for what, values, polynomial in comparisons:
+            error = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
+            i, k = np.unravel_index(np.argmax(error), error.shape)
+            location = f"phase {phase.name}, {phase.states.labels[i]}, costate at {what} {k + 1}"
+            worst = worst.select_larger(Worst(float(error[i, k]), location))
     return worst
 
 
@@ -144,8 +144,8 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
         return True
     if not all(np.all(np.isfinite(v)) for v in values):
         return False
-    weighed = any(np.any(s.phase.integral_weights != 0) for s in samples)
-    return weighed or all(
+    has_weights = any(np.any(s.phase.integral_weights != 0) for s in samples)
+    return has_weights or all(
         _find_largest_endpoint_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
     )
 
@@ -167,26 +167,26 @@ def _recompute_stored_phase_data(problem: Problem, solution: Solution, name: str
 
 
 def _require_matching_problem_sizes(problem: Problem, solution: Solution) -> None:
-    found = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
-    asked = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
-    found["boundary constraints"] = solution.constraint_multipliers.size
-    asked["boundary constraints"] = len(problem.constraint_labels())
-    if found["phases"] == asked["phases"]:
+    stored_sizes = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
+    required_sizes = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
+    stored_sizes["boundary constraints"] = solution.constraint_multipliers.size
+    required_sizes["boundary constraints"] = len(problem.constraint_labels())
+    if stored_sizes["phases"] == required_sizes["phases"]:
         for name, phase in problem.phases.items():
             stored, model = solution.phases[name], phase.model
-            found[f"sizes of phase '{name}'"] = [
+            stored_sizes[f"sizes of phase '{name}'"] = [
                 *(stored.states.size, stored.controls.size, stored.parameters.size),
                 *(len(stored.path_labels), stored.integrals.size),
             ]
-            asked[f"sizes of phase '{name}'"] = [
+            required_sizes[f"sizes of phase '{name}'"] = [
                 *(model.states.size, model.controls.size, model.parameters.size),
                 *(len(phase.path_labels), len(phase.integrands)),
             ]
-    for what, value in asked.items():
-        if found[what] != value:
+    for what, value in required_sizes.items():
+        if stored_sizes[what] != value:
             raise ProblemError(
                 f"the solution of '{solution.problem_name}' does not fit problem '{problem.name}': {what} are "
-                f"{found[what]} instead of {value}; check it with the problem that was solved."
+                f"{stored_sizes[what]} instead of {value}; check it with the problem that was solved."
             )
 
 

@@ -67,38 +67,38 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
-    equal = rows[problem.get_boundary_constraint_bounds().is_fixed & of_ends]
-    same = np.concatenate(
+    links = rows[problem.get_boundary_constraint_bounds().is_fixed & of_ends]
+    known = np.concatenate(
         [np.append(phase.numbers.initial.is_fixed, phase.numbers.final.is_fixed) for phase in phases]
     )
-    waiting, places = phases, _index_boundary_states(phases)
+    waiting, indices = phases, _index_boundary_states(phases)
     while waiting:
-        settled = [phase for phase in waiting if _is_initial_state_unique(equal, same, places[phase.name][0])]
-        if not settled or not all(
-            _is_dynamics_left_invertible(problem, phase, determined[phase.name]) for phase in settled
+        ready = [phase for phase in waiting if _is_initial_state_unique(links, known, indices[phase.name][0])]
+        if not ready or not all(
+            _is_dynamics_left_invertible(problem, phase, determined[phase.name]) for phase in ready
         ):
             return False
-        for phase in settled:
-            same[np.concatenate(places[phase.name])] = True
-        waiting = [phase for phase in waiting if phase not in settled]
+        for phase in ready:
+            known[np.concatenate(indices[phase.name])] = True
+        waiting = [phase for phase in waiting if phase not in ready]
     return True
 
 
 def _index_boundary_states(phases: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
-    found, at = {}, 0
+    indices, first = {}, 0
     for phase in phases:
         n = phase.model.states.size
-        found[phase.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
-        at += 2 * n
-    return found
+        indices[phase.name] = np.arange(first, first + n), np.arange(first + n, first + 2 * n)
+        first += 2 * n
+    return indices
 
 
-def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool:
+def _is_initial_state_unique(links: Array, known: Mask, initial: Indices) -> bool:
     """Return whether equations between end states imply the same initial state of a phase in all solutions."""
-    left = initial[~same[initial]]
-    others = np.setdiff1d(np.flatnonzero(~same), left)
-    rows = equal[~np.any(equal[:, others] != 0, axis=1)]
-    return left.size == 0 or _has_full_column_rank(rows[:, left])
+    unknown = initial[~known[initial]]
+    other_unknown = np.setdiff1d(np.flatnonzero(~known), unknown)
+    rows = links[~np.any(links[:, other_unknown] != 0, axis=1)]
+    return unknown.size == 0 or _has_full_column_rank(rows[:, unknown])
 
 
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
@@ -117,11 +117,11 @@ def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mas
         return True
     rates = phase.model.state_derivative()
     z = ca.vertcat(x, u)
-    curved = ca.SX(z.numel(), z.numel())
+    cost_hessian = ca.SX(z.numel(), z.numel())
     for symbol, integrand in phase.integrands.values():
-        curved += problem.sense * ca.jacobian(problem.cost, symbol) * ca.hessian(integrand, z)[0]
+        cost_hessian += problem.sense * ca.jacobian(problem.cost, symbol) * ca.hessian(integrand, z)[0]
     values = phase.model.parameter_values
-    parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
+    parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), cost_hessian]
     a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
         return False
@@ -140,8 +140,8 @@ def _has_full_column_rank(matrix: Array) -> bool:
 
 
 def _read_constant_matrix(expression: Any) -> Array | None:
-    simple = ca.simplify(expression)
-    return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
+    simplified = ca.simplify(expression)
+    return np.asarray(ca.DM(simplified).full()) if simplified.is_constant() else None
 
 
 def is_convex(problem: Problem) -> bool:
@@ -177,16 +177,16 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
         return False
     for phase in phases:
         _, x, u, _ = phase.model.symbolic_arguments()
-        along = ca.vertcat(x, u, problem.parameter_symbols())
+        variables = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in phase.integrands.values():
             expression = problem.substitute_parameters(phase, integrand)
-            if is_affine(expression, along):
+            if is_affine(expression, variables):
                 continue
             weight = ca.jacobian(cost, symbol)
-            grows = (
+            is_monotone = (
                 weight.is_constant() and float(ca.DM(weight)) >= 0 and not ca.depends_on(conditions, symbol)
             )
-            if not grows or not _is_convex_quadratic(expression, along):
+            if not is_monotone or not _is_convex_quadratic(expression, variables):
                 return False
     return True
 
@@ -219,15 +219,15 @@ def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence
 
 
 def attains_lower_bound(
-    solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
+    solution: Solution, samples: Sequence[PhaseSamples], cost: float, scale: float, tolerance: float
 ) -> bool:
-    """Return whether cost and costates are at their lower bounds, to ``tolerance`` of the scale ``amount``."""
+    """Return whether cost and costates are at their lower bounds, to ``tolerance`` of the scale ``scale``."""
     problem = solution.need_problem("verify")
     magnitudes = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
-    if not all(magnitude <= tolerance * amount for magnitude in magnitudes):  # also for NaN
+    if not all(magnitude <= tolerance * scale for magnitude in magnitudes):  # also for NaN
         return False
-    near = problem.sense * cost - compute_cost_lower_bound(problem) <= tolerance**2 * amount
-    return bool(near and np.all(_compute_bound_excess(solution) <= tolerance**2))
+    is_near = problem.sense * cost - compute_cost_lower_bound(problem) <= tolerance**2 * scale
+    return bool(is_near and np.all(_compute_bound_excess(solution) <= tolerance**2))
 
 
 def _compute_bound_excess(solution: Solution) -> Array:
@@ -235,33 +235,33 @@ def _compute_bound_excess(solution: Solution) -> Array:
     terms = list(_list_summands(problem.sense * problem.cost))
     for phase in problem.phases.values():
         for symbol, integrand in list(phase.integrands.values()):
-            shares = [phase.integral(part) for part in _list_summands(integrand)]
+            integrals = [phase.integral(part) for part in _list_summands(integrand)]
             terms = [
                 part
                 for term in terms
-                for part in _list_summands(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+                for part in _list_summands(ca.substitute(term, symbol, sum(integrals[1:], integrals[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
         for k, term in enumerate(terms)
     }
     problem.clear_cache()
-    none = {name: np.zeros(len(phase.integrands)) for name, phase in problem.phases.items()}
-    apart = replace(
+    zeros = {name: np.zeros(len(phase.integrands)) for name, phase in problem.phases.items()}
+    split = replace(
         solution,
         problem=problem,
         phases={
-            k: replace(v, integrals=none[k], integral_weights=none[k]) for k, v in solution.phases.items()
+            k: replace(v, integrals=zeros[k], integral_weights=zeros[k]) for k, v in solution.phases.items()
         },
         constraint_labels=problem.constraint_labels(),
         constraint_values=np.zeros(len(terms)),
         constraint_multipliers=np.zeros(len(terms)),
     )
-    apart = recompute_stored_data(apart)
-    amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_endpoint_changes()[:-1]
+    split = recompute_stored_data(split)
+    scales = EndPoints.from_solution(split, list(split.samples().values())).compute_endpoint_changes()[:-1]
     return np.asarray(
-        (get_endpoint_gradients(apart).constraints - _bound_endpoint_functions_from_below(problem, terms))
-        / replace_zeros_by_one(amounts)
+        (get_endpoint_gradients(split).constraints - _bound_endpoint_functions_from_below(problem, terms))
+        / replace_zeros_by_one(scales)
     )
 
 
@@ -295,8 +295,8 @@ def _bound_phase_integrals(problem: Problem, phase: Phase, q: Interval) -> Inter
     )
     arguments = [times, numbers.states, numbers.controls, _read_parameter_interval(phase), q]
     rates = bound_function_values(integrands, arguments)
-    least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
-    most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
-    spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
+    shortest = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
+    longest = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
+    spans = Interval(np.full(rates.lower.size, shortest), np.full(rates.lower.size, longest))
     rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
     return bound_function_values(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])

@@ -45,17 +45,17 @@ def check_switching_times(
     """Return the condition that no shift of switching times lowers the cost to second order."""
     problem = solution.need_problem("verify")
     jumps = find_control_jumps(problem, samples) if all(s.has_duration for s in samples) else []
-    place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
+    location = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
     if jumps and _are_control_jump_times_variables(jumps, samples):
-        jumps, place = [], f"{place}, tested by the second-order condition"
+        jumps, location = [], f"{location}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
-    order = sorted(samples, key=lambda s: s.phase.initial_time)
-    shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
-    falls = list(filter(None, (group.find_second_order_cost_decrease() for group in shifted)))
-    place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
-    worst, certain = max(falls, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, place), False))
-    result = combine_condition_results(len(groups) <= 1 and not falls, certain)
+    ordered = sorted(samples, key=lambda s: s.phase.initial_time)
+    shifted = [ShiftedTrajectory(solution, ordered, ends, scales, group) for group in groups]
+    decreases = list(filter(None, (group.find_second_order_cost_decrease() for group in shifted)))
+    location += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
+    worst, certain = max(decreases, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, location), False))
+    result = combine_condition_results(len(groups) <= 1 and not decreases, certain)
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
@@ -75,24 +75,24 @@ def _are_control_jump_times_variables(jumps: list[Jump], samples: list[PhaseSamp
 def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
     """Return the jumps of the applied controls inside phases and between consecutive phases."""
     jumps = []
-    order = sorted(samples, key=lambda s: s.phase.initial_time)
-    for s in order:
+    ordered = sorted(samples, key=lambda s: s.phase.initial_time)
+    for s in ordered:
         phase, change = s.phase, np.maximum(np.ptp(s.u, axis=1), s.control_span)
         inner = phase.breaks[1:-1]
         before, after = phase.applied(inner, "left"), phase.applied(inner)
         large = np.abs(after - before) > SMALL * change[:, None]
         for i, k in np.argwhere(large & ~_mask_constrained_controls(problem, s, inner)):
             jumps.append(Jump(phase.name, float(inner[k]), int(i), before[i, k], after[i, k]))
-    for s, following in itertools.pairwise(order):
+    for s, following in itertools.pairwise(ordered):
         a, b = s.phase, following.phase
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:
             continue
         before, after = a.applied(a.breaks[-1]), b.applied(b.breaks[0])
-        held = _mask_constrained_controls(problem, s, a.breaks[-1:]) | _mask_constrained_controls(
+        is_constrained = _mask_constrained_controls(problem, s, a.breaks[-1:]) | _mask_constrained_controls(
             problem, following, b.breaks[:1]
         )
         large = np.abs(after - before) > SMALL * s.control_scale
-        for i in np.flatnonzero(large & ~held[:, 0]):
+        for i in np.flatnonzero(large & ~is_constrained[:, 0]):
             if all(_is_control_at_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.phase.name: (s.phase.initial_time, s.phase.final_time) for s in samples}
@@ -115,11 +115,11 @@ def _is_control_at_bound(s: PhaseSamples, u: Array, i: int) -> bool:
 
 def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control near times, (m, n_times)."""
-    near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
-    sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
+    nearest = np.argmin(np.abs(s.times[:, None] - times), axis=0)
+    sides = [np.clip(nearest + k, 0, s.times.size - 1) for k in (-3, 3)]
     lower, upper = s.phase.control_bounds.is_near_limits(s.u, AT_LIMIT * np.max(np.abs(s.u), axis=1))
     # Near the end of an arc at a limit, its multiplier may be negligible.
-    pushed = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
-    between = ~(lower | upper) & pushed
-    held = [mask_controls_set_by_active_limits(problem, s, s.times[at]) | between[:, at] for at in sides]
-    return np.asarray(held[0] | held[1])
+    has_multiplier = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
+    inner = ~(lower | upper) & has_multiplier
+    masks = [mask_controls_set_by_active_limits(problem, s, s.times[at]) | inner[:, at] for at in sides]
+    return np.asarray(masks[0] | masks[1])

@@ -105,11 +105,11 @@ class ShiftedTrajectory:
     def find_second_order_cost_decrease(self) -> tuple[Worst, bool] | None:
         """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.end_and_parameter_variations)
-        small = SLOPE_STEP * np.eye(n + m)
-        values, misses = self.integrate_lagrangian_changes(np.hstack([small, -small]))
+        slope_steps = SLOPE_STEP * np.eye(n + m)
+        values, violations = self.integrate_lagrangian_changes(np.hstack([slope_steps, -slope_steps]))
         if not np.all(np.isfinite(values)):
             return None
-        slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :]) / SLOPE_STEP
+        slopes = 0.5 * (violations[:, : n + m] - violations[:, n + m :]) / SLOPE_STEP
         # With unstable dynamics, full steps exceed the range of the second-order expansion.
         steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
         slopes *= steps
@@ -130,36 +130,36 @@ class ShiftedTrajectory:
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
         directions, terms = directions / largest, terms / largest**2
         count = directions.shape[1]
-        values, misses = self.integrate_lagrangian_changes(np.hstack([directions, 0.5 * directions]))
+        values, violations = self.integrate_lagrangian_changes(np.hstack([directions, 0.5 * directions]))
         coarse, fine = -values[:count], -values[count:]
         ratio = np.divide(fine, coarse, out=np.zeros(count), where=coarse > 0)
-        sizes = np.linalg.norm(misses, axis=0)
-        kept = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
-        least = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
-        falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept & (fine > least)
+        sizes = np.linalg.norm(violations, axis=0)
+        valid = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
+        threshold = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
+        certain = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & valid & (fine > threshold)
         # Means of both signs have no first-order errors, so smaller decreases of second order are certain.
         mean, half = (0.5 * (v + np.roll(v, count // 2)) for v in (coarse, fine))
-        real = (np.abs(mean - 4 * half) <= 0.1 * mean) & kept & np.roll(kept, count // 2)
-        real &= half > EQUAL * max(self.scales.cost, abs(self.solution.objective))
-        falls |= real & (half > 0.25 * MINOR * terms)
-        doubtful = real & (half > 0.25 * NEGLIGIBLE * terms)
-        if not np.any(falls | doubtful):
+        quadratic = (np.abs(mean - 4 * half) <= 0.1 * mean) & valid & np.roll(valid, count // 2)
+        quadratic &= half > EQUAL * max(self.scales.cost, abs(self.solution.objective))
+        certain |= quadratic & (half > 0.25 * MINOR * terms)
+        possible = quadratic & (half > 0.25 * NEGLIGIBLE * terms)
+        if not np.any(certain | possible):
             return None
-        best = int(np.argmax(np.where(falls if np.any(falls) else doubtful, coarse, 0.0)))
-        moved, unit = np.argsort(-np.abs(directions[:n, best]))[:2], time_unit(self.solution)
-        named = [
+        best = int(np.argmax(np.where(certain if np.any(certain) else possible, coarse, 0.0)))
+        largest_shifts, unit = np.argsort(-np.abs(directions[:n, best]))[:2], time_unit(self.solution)
+        shifts = [
             f"phase {jump.phase}, {self.solution.phases[jump.phase].controls.labels[jump.channel]} at t = "
             f"{jump.time:.6g} {unit} by {amount * SHIFT_STEP_SHARE * jump.shorter_arc:+.2g} {unit}"
-            for jump, amount in ((self.jumps[k], directions[k, best]) for k in moved)
+            for jump, amount in ((self.jumps[k], directions[k, best]) for k in largest_shifts)
             if abs(amount) > SMALL
         ]
         where = (
-            f"switch of {', '.join(named)}"
-            if named
+            f"switch of {', '.join(shifts)}"
+            if shifts
             else "free initial states, times and parameters, no switch"
         )
-        where += "" if falls[best] else ": the decrease may be an error of the multipliers"
-        return Worst(float(coarse[best]) / self.scales.cost, where), bool(falls[best])
+        where += "" if certain[best] else ": the decrease may be an error of the multipliers"
+        return Worst(float(coarse[best]) / self.scales.cost, where), bool(certain[best])
 
     def integrate_lagrangian_changes(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and of active end conditions for amounts (n_unknowns, n_columns)."""
@@ -168,28 +168,28 @@ class ShiftedTrajectory:
         amounts = np.hstack([amounts, np.zeros((amounts.shape[0], 1))])
         lagrangian, rows = np.zeros(count), []
         finals: dict[str, Array] = {}
-        found: dict[str, list[Array]] = {}
+        end_values: dict[str, list[Array]] = {}
         q = self.solution.parameter_values
         q = q[:, None] + self._sum_variations_of_quantity("parameters", "", amounts, q.size)
         for s in self.samples:
             phase, name = s.phase, s.phase.name
-            begin = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_quantity(
+            initial_states = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_quantity(
                 "start", name, amounts, phase.states.size
             )
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals:
-                    begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
+                    initial_states = initial_states + by_end @ (finals[other] - finals[other][:, -1:])
             shifted = self._shift_switching_times_of_phase(s, amounts, q)
-            x, integrals, extra, active_rows = shifted.integrate_phase(begin, self.scales.cost)
+            x, integrals, limit_terms, active_rows = shifted.integrate_phase(initial_states, self.scales.cost)
             rows += active_rows
             finals[name] = x
-            lagrangian += extra
-            found[name] = [begin, x, *shifted.times[:, None], integrals, shifted.functions.p]
+            lagrangian += limit_terms
+            end_values[name] = [initial_states, x, *shifted.times[:, None], integrals, shifted.functions.p]
             gap = s.lam[:, -1] - self.ends.final_state[name]
             lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
             rows.append(_scale_changes_at_active_limits(x, phase.final_bounds, radius, s.state_scale))
-        arguments = [value for name in self.solution.phases for value in found[name]]
+        arguments = [value for name in self.solution.phases for value in end_values[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
         values = evaluate_casadi_batch(get_endpoint_value_function(problem), count, *arguments, q, nu)
@@ -198,8 +198,8 @@ class ShiftedTrajectory:
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
         box, reach = problem.get_boundary_constraint_bounds(), np.sqrt(np.diag(self.scales.boundary[1.0][0]))
-        misses = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach[: nu.size], changes)])
-        return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
+        violations = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach[: nu.size], changes)])
+        return (lagrangian - lagrangian[-1])[:-1], violations[:, :-1]
 
     def _sum_variations_of_quantity(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         total = np.zeros((size, amounts.shape[1]))
@@ -216,8 +216,8 @@ class ShiftedTrajectory:
             for jump, shifts in zip(self.jumps, amounts, strict=False)
             if name in (jump.phase, jump.beyond)
         ]
-        of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
-        variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
+        regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
+        variations = [(t, shape, n) for (phase, t, shape), n in regular if phase == name and np.any(n)]
         functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
         times = s.phase.breaks[[0, -1], None] + self._sum_variations_of_quantity("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
@@ -242,12 +242,12 @@ class _ShiftedPhase:
     def mesh_cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
         cells = subdivide_mesh_segments(self.samples.phase.breaks)
-        windows = [(np.min(own), np.max(own)) for own in self.times]
+        windows = [(np.min(times), np.max(times)) for times in self.times]
         for jump, _ in self.jumps:
             step = SHIFT_STEP_SHARE * jump.shorter_arc
             windows.append((jump.time - step, jump.time + step))
-        inside = np.any([(cells > first) & (cells < last) for first, last in windows], axis=0)
-        return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])
+        in_window = np.any([(cells > first) & (cells < last) for first, last in windows], axis=0)
+        return np.unique([*cells[~in_window], *np.clip(windows, cells[0], cells[-1]).ravel()])
 
     @cached_property
     def step_times(self) -> Array:
@@ -257,14 +257,14 @@ class _ShiftedPhase:
             *(jump.time for jump, _ in self.jumps),
             *find_costate_jumps(self.samples),
         ]
-        own = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
-        return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
+        rows = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
+        return np.sort(np.clip([*rows, *self.times], *self.times), axis=0)
 
     @cached_property
     def steps_equal_in_all_columns(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
-        same = np.all(self.step_times == self.step_times[:, :1], axis=1)
-        return np.asarray(same[:-1] & same[1:])
+        is_common = np.all(self.step_times == self.step_times[:, :1], axis=1)
+        return np.asarray(is_common[:-1] & is_common[1:])
 
     @cached_property
     def applied_controls(self) -> Array:
@@ -281,11 +281,11 @@ class _ShiftedPhase:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
         a, b = self.step_times[step], self.step_times[step + 1]
         middle = 0.5 * (a + b)
-        place = int(np.count_nonzero(self.steps_equal_in_all_columns[:step]))
-        found = []
+        index = int(np.count_nonzero(self.steps_equal_in_all_columns[:step]))
+        controls = []
         for k, t in enumerate((a, middle, b)):
             if self.steps_equal_in_all_columns[step]:
-                u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
+                u = np.repeat(self.applied_controls[:, index, [k]], a.size, axis=1)
             else:
                 u = _evaluate_applied_controls(self.samples.phase, t, middle)
             for jump, shifted in self.jumps:
@@ -293,8 +293,8 @@ class _ShiftedPhase:
                 u[jump.channel, (middle < jump.time) & (middle > shifted)] = jump.after
             for times, shape, amounts in self.variations:
                 u = u + amounts * np.stack([np.interp(t, times, row) for row in shape])
-            found.append(u)
-        return found
+            controls.append(u)
+        return controls
 
     @cached_property
     def _has_active_limits(self) -> bool:
@@ -305,12 +305,12 @@ class _ShiftedPhase:
         phase = self.samples.phase
         n, n_paths = phase.states.size, len(phase.path_labels)
         states = y[:n]
-        found = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
+        values = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
         terms, t = np.zeros(t.size), np.clip(t, *phase.breaks[[0, -1]])
         if self._has_active_limits:
-            terms = np.sum(phase.path_multiplier(t) * found[n : n + n_paths], axis=0)
+            terms = np.sum(phase.path_multiplier(t) * values[n : n + n_paths], axis=0)
             terms += np.sum(phase.state_multiplier(t) * states, axis=0)
-        return np.concatenate([found[:n], found[n + n_paths :], terms[None]])
+        return np.concatenate([values[:n], values[n + n_paths :], terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
         """Return the results of an integration from states (n, n_columns); the last column is the reference.
@@ -329,19 +329,19 @@ class _ShiftedPhase:
             y = take_runge_kutta_step(self.evaluate_rates, a, b - a, y, self.evaluate_shifted_controls(k))
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
-        touched = [
+        touch_terms = [
             compute_touch_point_lagrangian(self.problem, self.samples, self.functions, t, jump, states[t])
             for t, jump in jumps.items()
         ]
-        misses = [term / cost for term in touched] + [
+        violations = [term / cost for term in touch_terms] + [
             gradient @ (states[t] - states[t][:, -1:]) for t, rows in limits.items() for gradient in rows
         ]
-        return y[:n], y[n:-1], y[-1] + np.sum(touched, axis=0), [row[None] for row in misses]
+        return y[:n], y[n:-1], y[-1] + np.sum(touch_terms, axis=0), [row[None] for row in violations]
 
 
 def _evaluate_applied_controls(phase: Any, t: Array, middle: Array) -> Array:
-    edge = SAME_TIME * (phase.breaks[-1] - phase.breaks[0])
-    inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
+    offset = SAME_TIME * (phase.breaks[-1] - phase.breaks[0])
+    inside = np.where(t < middle, t + offset, np.where(t > middle, t - offset, t))
     return np.array(phase.applied(np.clip(inside, phase.breaks[0], phase.breaks[-1])))
 
 
@@ -353,17 +353,17 @@ def _list_control_variations(
     times, response = differentiate_final_state_by_controls(s)
     u = phase.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
-    most = np.max(own.deviation, axis=1)
-    lower, upper = phase.control_bounds.is_near_limits(u, NOTABLE * most)
-    inside = ~(lower | upper)
-    inside &= ~mask_controls_set_by_active_limits(problem, s, times)
-    shapes = response * (deviation**2 * inside)
-    found = []
+    peak = np.max(own.deviation, axis=1)
+    lower, upper = phase.control_bounds.is_near_limits(u, NOTABLE * peak)
+    interior = ~(lower | upper)
+    interior &= ~mask_controls_set_by_active_limits(problem, s, times)
+    shapes = response * (deviation**2 * interior)
+    variations = []
     for shape in shapes:
-        largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None], initial=0.0)
+        largest = np.max(np.abs(shape) / np.maximum(peak, TINY)[:, None], initial=0.0)
         if 0 < largest < np.inf:  # the response of unstable dynamics may overflow
-            found.append((phase.name, times, SHIFT_STEP_SHARE * shape / largest))
-    return found
+            variations.append((phase.name, times, SHIFT_STEP_SHARE * shape / largest))
+    return variations
 
 
 def _has_active_limits(s: PhaseSamples) -> bool:
@@ -377,38 +377,38 @@ def _build_end_and_parameter_variations(
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
-    found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    steps = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
-        phase, name, lasts = s.phase, s.phase.name, np.full(2, s.span)
+        phase, name, spans = s.phase, s.phase.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _list_free_variations(
+        steps += _list_free_variations(
             "start", name, phase.initial_bounds, phase.x(phase.breaks[0]), starts, radius
         )
-        if not np.any(phase.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
+        if not np.any(phase.duration_bounds.is_near_limits(spans[:1], AT_LIMIT * spans[:1])):
             box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
-            found += _list_free_variations("times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts)
-    return found
+            steps += _list_free_variations("times", name, box, phase.breaks[[0, -1]], np.diag(spans), spans)
+    return steps
 
 
 def _list_free_variations(
-    kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
+    kind: str, phase: str, bounds: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
-    held = box.is_fixed | np.logical_or(*box.is_near_limits(values, AT_LIMIT * scale))
-    chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
+    at_limit = bounds.is_fixed | np.logical_or(*bounds.is_near_limits(values, AT_LIMIT * scale))
+    chosen = [row for row in rows if np.any(row) and not np.any(row[at_limit])]
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _scale_changes_at_active_limits(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
+def _scale_changes_at_active_limits(values: Array, bounds: Interval, reach: Array, unreached: Array) -> Array:
     """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
 
     Those without reach are in shares of ``unreached`` (n,).
     """
     size = np.maximum(np.where(reach > 0, reach, unreached), TINY)
-    active = box.is_fixed | np.logical_or(*box.is_near_limits(values[:, -1], AT_LIMIT * size))
+    active = bounds.is_fixed | np.logical_or(*bounds.is_near_limits(values[:, -1], AT_LIMIT * size))
     return np.asarray((values - values[:, -1:])[active] / size[active, None])
 
 
@@ -416,15 +416,15 @@ def _find_directions_keeping_end_conditions(shifts: Array, others: Array) -> Arr
     """Return a basis (n_unknowns, d) that preserves the end conditions, from their slopes: jumps with their
     corrections, followed by directions without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
-    size = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
+    norms = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
     free = (
-        _find_null_space((shifts - others @ (inverse @ shifts)) / size, NOTABLE)
-        / size[:, None]
-        * np.min(size)
+        _find_null_space((shifts - others @ (inverse @ shifts)) / norms, NOTABLE)
+        / norms[:, None]
+        * np.min(norms)
     )
-    alone = _find_null_space(others, RANK)
-    none = np.zeros((free.shape[0], alone.shape[1]))
-    return np.block([[free, none], [-inverse @ shifts @ free, alone]])
+    without_jumps = _find_null_space(others, RANK)
+    zeros = np.zeros((free.shape[0], without_jumps.shape[1]))
+    return np.block([[free, zeros], [-inverse @ shifts @ free, without_jumps]])
 
 
 def _draw_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
@@ -433,23 +433,23 @@ def _draw_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of all pairs.
     """
     d = basis.shape[1]
-    couples = list(itertools.combinations(range(d), 2))
+    pairs = list(itertools.combinations(range(d), 2))
     hessian = np.diag(2 * half[:d])
-    for k, (i, j) in enumerate(couples):
+    for k, (i, j) in enumerate(pairs):
         hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
-    single = np.abs(np.diag(hessian))
-    least = SMALL * np.max(single)
-    scale = np.sqrt(least / np.maximum(single, least)) if least > 0 else np.ones(d)
+    diagonal = np.abs(np.diag(hessian))
+    smallest = SMALL * np.max(diagonal)
+    scale = np.sqrt(smallest / np.maximum(diagonal, smallest)) if smallest > 0 else np.ones(d)
     unit = np.eye(d)
-    directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
+    directions = [*unit, *(unit[i] + s * unit[j] for i, j in pairs for s in (1, -1))]
     vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
     directions.append(vector / np.max(np.abs(vector)))
     chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
-    return basis @ chosen, single @ chosen**2
+    return basis @ chosen, diagonal @ chosen**2
 
 
-def _find_null_space(rows: Array, least: float) -> Array:
-    """Return an orthonormal basis (n, d) of the directions with relative changes of the rows below ``least``."""
+def _find_null_space(rows: Array, threshold: float) -> Array:
+    """Return an orthonormal basis (n, d) of the directions with relative changes of the rows below ``threshold``."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(sizes > least))
+    rank = int(np.sum(sizes > threshold))
     return np.asarray(basis[rank:].T)

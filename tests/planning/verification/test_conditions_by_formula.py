@@ -421,16 +421,16 @@ def test_combined_conditions_take_the_decisive_part() -> None:
 
 def test_results_that_other_theorems_change() -> None:
     for change, extra, expected in (
-        (optimality_check._pass_condition_by_convexity, True, INCONCLUSIVE),
-        (optimality_check._pass_condition_by_lower_bound, True, INCONCLUSIVE),
-        (optimality_check._pass_condition_by_lower_bound, False, PASS),
+        (optimality_check._mark_inconclusive_by_convexity, True, INCONCLUSIVE),
+        (optimality_check._resolve_condition_by_lower_bound, True, INCONCLUSIVE),
+        (optimality_check._resolve_condition_by_lower_bound, False, PASS),
     ):
         found = change(condition("c", FAIL, sufficient=extra))
         assert found.result is expected and found.where.startswith("w; ")
         passed = condition("c", PASS, sufficient=extra)
         assert change(passed) is passed
     failed = condition("c", FAIL)
-    assert optimality_check._pass_condition_by_convexity(failed) is failed
+    assert optimality_check._mark_inconclusive_by_convexity(failed) is failed
     assert optimality_check._mark_condition_of_zero_duration_phase(failed, "leg") is failed
     marked = optimality_check._mark_condition_of_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)

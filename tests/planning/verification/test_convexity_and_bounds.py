@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.state_subset_relaxation import list_problem_relaxations
-from gnc_opt.planning.verification.optimality_check import _pass_condition_by_convexity
+from gnc_opt.planning.verification.optimality_check import _mark_inconclusive_by_convexity
 from gnc_opt.planning.verification.solution_data_check import recompute_stored_data
 from gnc_opt.planning.verification.sufficient_conditions import (
     _list_summands,
@@ -109,13 +109,13 @@ def test_a_curvature_that_fails_or_is_inconclusive_says_that_the_problem_is_conv
     made = go.Condition(
         "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
     )
-    assert _pass_condition_by_convexity(made).result is go.ConditionResult.INCONCLUSIVE
-    assert "there; the problem is convex" in _pass_condition_by_convexity(made).where
-    open_ = _pass_condition_by_convexity(replace(made, result=go.ConditionResult.INCONCLUSIVE))
+    assert _mark_inconclusive_by_convexity(made).result is go.ConditionResult.INCONCLUSIVE
+    assert "there; the problem is convex" in _mark_inconclusive_by_convexity(made).where
+    open_ = _mark_inconclusive_by_convexity(replace(made, result=go.ConditionResult.INCONCLUSIVE))
     assert open_.result is go.ConditionResult.INCONCLUSIVE and "the problem is convex" in open_.where
     passed, first = replace(made, result=go.ConditionResult.PASS), replace(made, sufficient=False)
-    assert _pass_condition_by_convexity(passed) is passed
-    assert _pass_condition_by_convexity(first) is first
+    assert _mark_inconclusive_by_convexity(passed) is passed
+    assert _mark_inconclusive_by_convexity(first) is first
 
 
 @pytest.mark.slow

@@ -170,7 +170,7 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
         free: Any, bound: Any = None, end: Any = ("", np.inf), s: str = "s", **given: Any
     ) -> tuple[Any, ...]:
         weak = np.array([False, bound is not None])
-        cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
+        cone = fake(point=None, unit=None, extra_rows=None, strong=np.array([True, False]), weak=weak)
         cone.is_direction_in_cone = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
         cone.is_curvature_multiplier_dependent = lambda direction: given.get("several", False)
         monkeypatch.setattr(reduced_hessian, "find_cost_reducing_final_pulse", lambda cone, s: end)
