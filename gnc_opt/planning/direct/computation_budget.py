@@ -122,10 +122,10 @@ class WorkBudget:
         self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
     ) -> WorkBudget:
         """Return the budget of a part of the search: a share of the total work, at most the rest, and own limits."""
-        most = min(share * self.total, self.remaining_work)
+        allotted = min(share * self.total, self.remaining_work)
         return replace(
             self,
-            total=most,
+            total=allotted,
             max_iterations=max_iterations,
             warm_iterations=warm_iterations,
             spent=0.0,
@@ -152,8 +152,8 @@ class WorkBudget:
         models = {name: problem.phases[name].model for name in meshes}
         variables = sum(meshes[name].size * (m.states.size + m.controls.size) for name, m in models.items())
         affordable = math.ceil(self.remaining_work * WORK_PER_SECOND / variables)
-        left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
-        return left if self.max_iterations is None else min(left, self.max_iterations)
+        remaining = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
+        return remaining if self.max_iterations is None else min(remaining, self.max_iterations)
 
     def limit_work_to_completing_solution(self, limited: bool) -> None:
         """Limit the remaining work to that of completing a solution, or cancel this limit."""

@@ -78,19 +78,19 @@ def solve_problem_on_mesh(
     The problem has passed its `check`. By default the mesh is that of the guess, if it has the same phases, else
     `DEFAULT_MESH`. At the limits of a budget, to which the work is added, it ends as `Status.ITERATION_LIMIT`.
     """
-    chosen, problem = options or SolverOptions(), reformulate_problem(problem)
+    settings, problem = options or SolverOptions(), reformulate_problem(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
-        known = {name: guess.phases[name] for name in problem.phases}
+        guess_phases = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
-        meshes = {n: fix_mesh_breaks(p) if guess.structure else p.mesh for n, p in known.items()}
+        meshes = {n: fix_mesh_breaks(p) if guess.structure else p.mesh for n, p in guess_phases.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     budget = WorkBudget() if budget is None else budget
-    most = budget.count_remaining_iterations(problem, meshes)
-    task = _FixedMeshSolve(problem, meshes, scheme, chosen, progress, budget, most)
-    found = task.solve_from_known_solution(guess)
-    budget.record_solve_work(found)
-    return found
+    max_iterations = budget.count_remaining_iterations(problem, meshes)
+    task = _FixedMeshSolve(problem, meshes, scheme, settings, progress, budget, max_iterations)
+    solution = task.solve_from_known_solution(guess)
+    budget.record_solve_work(solution)
+    return solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,26 +105,26 @@ class _FixedMeshSolve:
 
     def solve_from_known_solution(self, guess: Solution | None) -> Solution:
         """Solve from a solution with its multipliers; if that fails, from its trajectory only."""
-        most = self.budget.warm_iterations
-        if guess is None or most is None:
+        max_warm = self.budget.warm_iterations
+        if guess is None or max_warm is None:
             return self.solve_with_retries(guess)
-        if most == 0:
+        if max_warm == 0:
             return self.solve_from_known_trajectory(guess)
-        brief = replace(self.options, max_iterations=min(most, self.options.max_iterations))
-        found = replace(self, options=brief).solve_with_retries(guess)
-        rest = self.max_iterations
-        left = None if rest is None else max(0, rest - found.statistics.iterations)
-        done = found.status.solved or found.status is Status.INTERRUPTED
-        if done or left == 0 or time.thread_time() > self.budget.cpu_deadline:
-            return found
-        return replace(self, max_iterations=left).solve_from_known_trajectory(guess, after=found)
+        limited = replace(self.options, max_iterations=min(max_warm, self.options.max_iterations))
+        first = replace(self, options=limited).solve_with_retries(guess)
+        allowed = self.max_iterations
+        remaining = None if allowed is None else max(0, allowed - first.statistics.iterations)
+        is_final = first.status.solved or first.status is Status.INTERRUPTED
+        if is_final or remaining == 0 or time.thread_time() > self.budget.cpu_deadline:
+            return first
+        return replace(self, max_iterations=remaining).solve_from_known_trajectory(guess, after=first)
 
     def solve_from_known_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
         start = guess_from_solution(self.problem, guess)
-        cold = replace(self.options, mu_init=TRAJECTORY_START_BARRIER)
-        found = replace(self, problem=start, options=cold).solve_with_retries(after=after)
-        return replace(found, problem=self.problem.frozen())
+        options = replace(self.options, mu_init=TRAJECTORY_START_BARRIER)
+        solution = replace(self, problem=start, options=options).solve_with_retries(after=after)
+        return replace(solution, problem=self.problem.frozen())
 
     def solve_with_retries(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
@@ -134,10 +134,10 @@ class _FixedMeshSolve:
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.budget.deadline, attempt.solver.compute_deadline() - earlier_s)
-        tries = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
-        tries.run_solve_attempts(point, search=guess is None and not has_trajectory_guess(self.problem))
-        result = tries.select_conclusive_solver_result()
-        if tries.is_iteration_or_cpu_limit_hit and result.status is Status.INTERRUPTED:
+        attempts = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
+        attempts.run_solve_attempts(point, search=guess is None and not has_trajectory_guess(self.problem))
+        result = attempts.select_conclusive_solver_result()
+        if attempts.is_iteration_or_cpu_limit_hit and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimise_multiplier_norm(attempt.transcription, point, result)
@@ -168,15 +168,15 @@ class _SolveAttempts:
         search = search and cold
         first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
-            there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
-            self._solve_nonlinear_program(there, "careful", most=TRY_MAX_ITERATIONS)
-        numerical = ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED)
-        if self._is_solve_finished or not (cold or numerical):
+            reached = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
+            self._solve_nonlinear_program(reached, "careful", most=TRY_MAX_ITERATIONS)
+        is_numerical = ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED)
+        if self._is_solve_finished or not (cold or is_numerical):
             return
-        lost = first.status is Status.ITERATION_LIMIT
+        is_cut_off = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
-        self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
-        if self._is_solve_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
+        self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if is_cut_off else None)
+        if self._is_solve_finished or not search or not (is_cut_off or first.status in CONSTRAINTS_FIRST):
             return
         simulated = with_simulated_guess(self.attempt.problem)
         if simulated is not None:
@@ -184,7 +184,7 @@ class _SolveAttempts:
             self._solve_nonlinear_program(self.attempt.build_scaled_nlp_point(start), most=most)
         if not self._is_solve_finished:
             self._solve_from_feasible_points()
-        if lost and not self._is_solve_finished:
+        if is_cut_off and not self._is_solve_finished:
             self._solve_nonlinear_program(point)
 
     def select_conclusive_solver_result(self) -> NlpResult:
@@ -192,55 +192,55 @@ class _SolveAttempts:
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
             return (last if last.status.solved else first).with_summed_iterations_and_times(self.spent)
-        explained = [r for r in self.whole if r.status not in UNEXPLAINED]
-        otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
-        if last.status is Status.INTERRUPTED and not explained:
+        conclusive = [r for r in self.whole if r.status not in UNEXPLAINED]
+        fallback = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
+        if last.status is Status.INTERRUPTED and not conclusive:
             return last.with_summed_iterations_and_times(self.spent)
-        return (explained[0] if explained else otherwise).with_summed_iterations_and_times(self.spent)
+        return (conclusive[0] if conclusive else fallback).with_summed_iterations_and_times(self.spent)
 
     @property
     def is_iteration_or_cpu_limit_hit(self) -> bool:
-        spent = self.most is not None and self.count >= self.most
-        return spent or time.thread_time() > self.cpu_deadline
+        is_spent = self.most is not None and self.count >= self.most
+        return is_spent or time.thread_time() > self.cpu_deadline
 
     @property
     def _is_solve_finished(self) -> bool:
-        over = self.is_iteration_or_cpu_limit_hit or time.perf_counter() > self.deadline
-        solved = self.spent[-1].status.solved or self.spent[0].status.solved
-        return over or solved or self.spent[-1].status is Status.INTERRUPTED
+        is_over = self.is_iteration_or_cpu_limit_hit or time.perf_counter() > self.deadline
+        is_solved = self.spent[-1].status.solved or self.spent[0].status.solved
+        return is_over or is_solved or self.spent[-1].status is Status.INTERRUPTED
 
     def _solve_nonlinear_program(
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
-        lost = False
+        is_cut_off = False
         with self.attempt.display_solver_progress(with_cost=with_cost) as show:
 
             def stop_at_iteration_limit(info: IterationInfo) -> bool:
-                nonlocal lost
+                nonlocal is_cut_off
                 show(info)
                 self.count += info.iteration > 0
-                lost = most is not None and info.iteration >= most
-                return lost or self.is_iteration_or_cpu_limit_hit
+                is_cut_off = most is not None and info.iteration >= most
+                return is_cut_off or self.is_iteration_or_cpu_limit_hit
 
             solver, stop = self.attempt.solver, stop_at_iteration_limit
-            found = solver.solve(point, way, callback=stop, deadline=self.deadline)
-        if lost and found.status is Status.INTERRUPTED:
-            found = replace(found, status=Status.ITERATION_LIMIT)
-        self.spent.append(found)
+            result = solver.solve(point, way, callback=stop, deadline=self.deadline)
+        if is_cut_off and result.status is Status.INTERRUPTED:
+            result = replace(result, status=Status.ITERATION_LIMIT)
+        self.spent.append(result)
         if with_cost:
-            self.whole.append(found)
-        return found
+            self.whole.append(result)
+        return result
 
     def _solve_from_feasible_points(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start)
-        for variables, held in starts:
-            point = attempt.build_scaled_nlp_point(variables, held=held, with_cost=False)
-            met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
-            if met.status.solved:
-                there = attempt.build_scaled_nlp_point(met.x * attempt.scaling.variables)
-                self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
+        for variables, fixed in starts:
+            point = attempt.build_scaled_nlp_point(variables, held=fixed, with_cost=False)
+            feasible = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
+            if feasible.status.solved:
+                restart = attempt.build_scaled_nlp_point(feasible.x * attempt.scaling.variables)
+                self._solve_nonlinear_program(restart, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
             if self._is_solve_finished:
@@ -254,22 +254,22 @@ def generate_feasibility_initial_points(
 
     Each is the physical variables (n_variables,), and indices of those fixed until the constraints are satisfied.
     """
-    places = np.concatenate([part.times for part in transcription.parts.values()])
-    times = np.unique(places[places < transcription.n_variables])
-    box = transcription.get_variable_bounds(problem)
+    all_times = np.concatenate([part.times for part in transcription.parts.values()])
+    times = np.unique(all_times[all_times < transcription.n_variables])
+    bounds = transcription.get_variable_bounds(problem)
     yield start, times[:0]
-    tried: list[Array] = []
+    earlier_values: list[Array] = []
     for stretch in HELD_TIME_FACTORS if times.size else ():
-        values = np.clip(stretch * start[times], box.lower[times], box.upper[times])
-        if any(np.array_equal(values, earlier) for earlier in tried):
+        values = np.clip(stretch * start[times], bounds.lower[times], bounds.upper[times])
+        if any(np.array_equal(values, earlier) for earlier in earlier_values):
             continue
-        tried.append(values)
+        earlier_values.append(values)
         stretched = start.copy()
         stretched[times] = values
         yield stretched, times
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
-        twin = with_random_guess(problem, FEASIBILITY_SEED, index)
-        yield build_nlp_point_from_guess(transcription, twin), times[:0]
+        randomised = with_random_guess(problem, FEASIBILITY_SEED, index)
+        yield build_nlp_point_from_guess(transcription, randomised), times[:0]
 
 
 def has_trajectory_guess(problem: Problem) -> bool:

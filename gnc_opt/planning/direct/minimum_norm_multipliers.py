@@ -36,16 +36,16 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = convert_casadi_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    along = fixed & transcription.mask_interior_states()  # those on active arcs
-    multipliers = result.lam_g[rows], result.lam_x[along]
-    r = _project_to_null_space(jacobian[:, ~fixed], jacobian[:, along], *multipliers)
-    left = jacobian.T @ r
+    on_arcs = fixed & transcription.mask_interior_states()  # those on active arcs
+    multipliers = result.lam_g[rows], result.lam_x[on_arcs]
+    r = _project_to_null_space(jacobian[:, ~fixed], jacobian[:, on_arcs], *multipliers)
+    change = jacobian.T @ r
     size = np.max(np.abs(r))
-    if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * size:
+    if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(change[~fixed])) > EQUAL * size:
         return result
     lam_g, lam_x = result.lam_g.copy(), result.lam_x.copy()
     lam_g[rows] -= r
-    lam_x[fixed] += left[fixed]
+    lam_x[fixed] += change[fixed]
     return replace(result, lam_g=lam_g, lam_x=lam_x)
 
 
@@ -55,7 +55,7 @@ def _project_to_null_space(free: Any, along: Any, rows: Array, limits: Array) ->
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
     blocks = [[weight, free], [free.T, -ROUNDING * scipy.sparse.eye_array(n)]]
     system = scipy.sparse.block_array(blocks, format="csc")
-    wanted = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
+    right = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
     factors = scipy.sparse.linalg.splu(system)
-    found = factors.solve(wanted)
-    return np.asarray((found + factors.solve(wanted - system @ found))[:m])
+    solution = factors.solve(right)
+    return np.asarray((solution + factors.solve(right - system @ solution))[:m])

@@ -66,12 +66,12 @@ class ScaledNlp:
         begin = time.perf_counter()
         transcription = transcribe_problem(problem, meshes, scheme)
         # Short arcs make the linear systems nearly singular.
-        careful = any(part.collocation.mesh.movable for part in transcription.parts.values())
-        chosen = options.careful_pivoting is not None or not careful
-        suited = options if chosen else replace(options, careful_pivoting=True)
-        key = repr(suited)
+        has_arcs = any(part.collocation.mesh.movable for part in transcription.parts.values())
+        is_chosen = options.careful_pivoting is not None or not has_arcs
+        adapted = options if is_chosen else replace(options, careful_pivoting=True)
+        key = repr(adapted)
         if not (reused := key in transcription.built):
-            transcription.built[key] = NlpSolver(transcription.nlp, suited)
+            transcription.built[key] = NlpSolver(transcription.nlp, adapted)
         solver: NlpSolver = transcription.built[key]
         known = None if guess is None else build_nlp_point_from_solution(transcription, problem, guess)
         start = choose_initial_variables(transcription, problem) if known is None else known.x
@@ -127,9 +127,9 @@ class ScaledNlp:
             result.lam_x / scaling.variables / scaling.objective,
             result.lam_g * scaling.rows / scaling.objective,
         )
-        box = transcription.get_variable_bounds(problem)
+        bounds = transcription.get_variable_bounds(problem)
         # Scaling and unscaling rounds; fixed variables must equal their bounds exactly.
-        iterate = replace(iterate, x=np.where(box.is_fixed, box.lower, iterate.x))
+        iterate = replace(iterate, x=np.where(bounds.is_fixed, bounds.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = build_phase_solutions(transcription, problem, iterate)
         places, parts = transcription.parameter_places, transcription.parts

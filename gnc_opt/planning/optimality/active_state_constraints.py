@@ -25,6 +25,7 @@ or at a touch point. A jump at a segment boundary is admissible if active constr
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -249,9 +250,8 @@ def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
             constraints, structure = StateConstraints(problem, s), solution.structure if with_arcs else ()
-            arcs = [
-                entry for arc in structure for entry in _find_high_order_constraint_arcs(constraints, arc)
-            ]
+            by_arc = (_find_high_order_constraint_arcs(constraints, arc) for arc in structure)
+            arcs = list(itertools.chain(*by_arc))
             ends = {(start.constraint, k) for start, last in arcs for k in (start.boundary, last)}
             touches = [j for j in _find_touch_points(constraints) if (j.constraint, j.boundary) not in ends]
             if touches or arcs:
@@ -368,13 +368,9 @@ def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], b
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
-        contact = np.flatnonzero(off)[-1 if side < 0 else 0]
-        if (
-            near[contact]
-            and np.all(near[on])
-            and not np.all(near[off])
-            and any(np.all(o[off]) for o in others)
-        ):
+        touch = np.flatnonzero(off)[-1 if side < 0 else 0]
+        leaves = np.all(near[on]) and not np.all(near[off])
+        if near[touch] and leaves and any(np.all(other[off]) for other in others):
             return side
     return 0
 

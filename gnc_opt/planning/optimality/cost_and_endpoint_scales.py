@@ -157,14 +157,12 @@ def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     return np.asarray(np.where(required > rounding, STILL_STATE_SHARE * required, s.control_span))
 
 
-def scale_inactive_control_deviations(
-    s: PhaseSamples, deviation: Array, inactive: Mask, cost: float
-) -> Array:
+def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, mask: Mask, cost: float) -> Array:
     """Return deviations in which those of inactive controls (m,) cost as much as those of all others together."""
-    if not np.any(inactive):
+    if not np.any(mask):
         return deviation
     curv = np.abs(set_nonfinite_to_zero(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     by_cost = np.sqrt(np.divide(2 * cost, curv, out=np.zeros_like(curv), where=curv > 0))
     width = s.phase.control_bounds.upper - s.phase.control_bounds.lower
     scale = np.where(np.isfinite(width) & (curv == 0), width, by_cost)
-    return np.where(inactive[:, None], np.fmax(scale[:, None], deviation), deviation)
+    return np.where(mask[:, None], np.fmax(scale[:, None], deviation), deviation)

@@ -343,7 +343,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
     space = np.empty((min(steps, start.size) + 1, start.size))
     space[0] = start / size
     diagonal: list[float] = []
-    off_diagonal: list[float] = []
+    subdiag: list[float] = []
     for k in range(space.shape[0] - 1):
         image = operate(space[k])
         diagonal.append(float(space[k] @ image))
@@ -351,21 +351,19 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
         if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
-            k % 10 == 9 and are_extreme_eigenvalues_converged(diagonal, off_diagonal, length)
+            k % 10 == 9 and are_extreme_eigenvalues_converged(diagonal, subdiag, length)
         ):
             break
-        off_diagonal.append(length)
+        subdiag.append(length)
         space[k + 1] = image / length
     n = len(diagonal)
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, off_diagonal[: n - 1])
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, subdiag[: n - 1])
     return values, space[:n].T @ vectors
 
 
-def are_extreme_eigenvalues_converged(
-    diagonal: list[float], off_diagonal: list[float], length: float
-) -> bool:
+def are_extreme_eigenvalues_converged(diagonal: list[float], subdiag: list[float], length: float) -> bool:
     """Return whether both ends of the spectrum have converged, from the last components of their eigenvectors."""
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, off_diagonal)
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, subdiag)
     return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= MINOR * np.max(np.abs(values)))
 
 

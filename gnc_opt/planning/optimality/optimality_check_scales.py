@@ -400,15 +400,13 @@ class EndPoints:
             moves[k] = change
         return np.vstack(moves)
 
-    def _list_end_displacements_along_axes(
-        self, reach: Mapping[str, Reach], *, keep_zero_axes: bool = False
-    ) -> Array:
-        """Return moves of the ends along their principal axes; with ``keep_zero_axes``, zero axes have length 1."""
+    def _list_end_displacements_along_axes(self, reach: Mapping[str, Reach], *, full: bool = False) -> Array:
+        """Return moves of the ends along their principal axes; with ``full``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.phase.name]
             free, n = ~s.phase.initial_bounds.is_fixed, s.phase.states.size
-            first, last = (e.nonzero_semi_axes if keep_zero_axes else e.semi_axes for e in (start, end))
+            first, last = (e.nonzero_semi_axes if full else e.semi_axes for e in (start, end))
             moves.append(self._expand_endpoint_displacements({6 * k: first[:, free] * free[:, None]}))
             moves.append(self._expand_endpoint_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
         return np.hstack(moves)
@@ -429,7 +427,7 @@ class EndPoints:
     ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
-            self._list_end_displacements_along_axes(reach, keep_zero_axes=True),
+            self._list_end_displacements_along_axes(reach, full=True),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):

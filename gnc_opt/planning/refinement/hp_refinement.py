@@ -206,28 +206,26 @@ def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     phase, largest_errors, raised, split = error.samples.phase, error.largest_segment_errors, 0, 0
     decades = error.compute_required_error_reduction(INNER_TOLERANCE_SHARE * tol)
     added_points = np.ceil(decades / _fit_legendre_decay_rates(error))
-    multipliers = find_active_constraint_multipliers(error)
+    mu = find_active_constraint_multipliers(error)
     times, degrees = [float(phase.breaks[0])], list[int]()
     for k, degree in enumerate(phase.mesh.degrees):
         refined = [(float(phase.breaks[k + 1]), degree)]
         if largest_errors[k] > tol and phase.breaks[k + 1] - phase.breaks[k] >= SAME_TIME * phase.duration:
-            refined = _refine_segment(error, k, multipliers, max(1, int(added_points[k])))
+            refined = _refine_segment(error, k, mu, max(1, int(added_points[k])))
             raised, split = raised + (len(refined) == 1), split + (len(refined) > 1)
         times += [end for end, _ in refined]
         degrees += [degree for _, degree in refined]
     return Mesh.at_times(times, degrees), Actions(raised, split)
 
 
-def _refine_segment(
-    error: PhaseError, k: int, multipliers: Array, added_points: int
-) -> list[tuple[float, int]]:
+def _refine_segment(error: PhaseError, k: int, mu: Array, added_points: int) -> list[tuple[float, int]]:
     """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added_points`` points.
 
     New segments with a kink have degree 3, adjacent ones at most 6, and halves at most `HALF_MAX_DEGREE`.
     """
     phase, largest_error = error.samples.phase, float(error.largest_segment_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
-    kinks = find_kinks_in_segment(error, k, multipliers) if largest_error < UNKNOWN_TRAJECTORY_ERROR else []
+    kinks = find_kinks_in_segment(error, k, mu) if largest_error < UNKNOWN_TRAJECTORY_ERROR else []
     breaks = choose_mesh_breaks_around_kinks(error, k, kinks) if kinks else []
     if len(breaks) > 2:
         centres = [0.5 * (a + b) for a, b in itertools.pairwise(breaks)]
@@ -285,12 +283,12 @@ class Kink:
     end: float
 
 
-def find_kinks_in_segment(error: PhaseError, k: int, multipliers: Array) -> list[Kink]:
+def find_kinks_in_segment(error: PhaseError, k: int, mu: Array) -> list[Kink]:
     """Return the ordered, disjoint kinks in segment k; none if they cannot be distinguished from noise.
 
-    ``multipliers`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
+    ``mu`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
     """
-    kinks = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, multipliers)
+    kinks = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, mu)
     merged: list[Kink] = []
     for kink in sorted(kinks, key=lambda kink: kink.start):
         if merged and kink.start <= merged[-1].end:
@@ -324,14 +322,14 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     return kinks
 
 
-def _find_active_constraint_kinks(error: PhaseError, k: int, multipliers: Array) -> list[Kink]:
+def _find_active_constraint_kinks(error: PhaseError, k: int, mu: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
     phase = error.samples.phase
     points, offsets = phase.point_times, phase.mesh.point_offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
     left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
     kinks = []
-    for row in multipliers[:, first : last + 1]:
+    for row in mu[:, first : last + 1]:
         times = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
             start, end = _bracket_activation_time(times, row, int(j), phase.duration)

@@ -126,7 +126,7 @@ def refine(
 class StagedRefinement:
     """Search for an accurate solution from the ``first`` one, on a first mesh: settings, work budget and candidates.
 
-    ``begin`` is the time at which the search began, s, of `time.perf_counter`; ``_first_candidate`` that of ``first``.
+    ``begin`` is the time at which the search began, s, of `time.perf_counter`; ``_first_solve`` that of ``first``.
     """
 
     first: Solution
@@ -137,7 +137,7 @@ class StagedRefinement:
     progress: bool = False
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
-    _first_candidate: Candidate | None = None
+    _first_solve: Candidate | None = None
     _converged_orders: list[dict[str, PhaseStructure]] = field(default_factory=list)
 
     def run_stages(self, structure: StructureChoice) -> Solution:
@@ -145,22 +145,20 @@ class StagedRefinement:
         if structure not in get_args(StructureChoice):
             similar = suggest_similar_name(str(structure), get_args(StructureChoice))
             raise ProblemError(f"refine() has no structure {structure!r}: {similar}")
-        stopped_by: RefinementStatus | None = None
+        stop: RefinementStatus | None = None
         try:
             for candidate in self._iterate_stages_of_structure(structure):
                 self._record_candidate_solution(candidate)
-                stopped_by = self._classify_termination(candidate)
-                if stopped_by is not None:
+                stop = self._classify_termination(candidate)
+                if stop is not None:
                     break
         except KeyboardInterrupt:
-            stopped_by = RefinementStatus.INTERRUPTED
-        if stopped_by is RefinementStatus.CONVERGED:
-            stopped_by = None
+            stop = RefinementStatus.INTERRUPTED
+        if stop is RefinementStatus.CONVERGED:
+            stop = None
         elif not any(c.is_solved and c.solution is self.first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(self.first, self.tol, self.begin, FIRST))
-        return build_best_solution(
-            self.candidates, stopped_by, self.tol, self.begin, self.check, self._first_candidate
-        )
+        return build_best_solution(self.candidates, stop, self.tol, self.begin, self.check, self._first_solve)
 
     def _iterate_stages_of_structure(self, structure: StructureChoice) -> Iterator[Candidate]:
         self._solve_without_fixed_arcs()
@@ -205,7 +203,7 @@ class StagedRefinement:
         return (candidate.largest_local_error <= self.tol or has_final_arcs) and candidate.verdict.ok
 
     def _iterate_refinement_stages(self) -> Iterator[Candidate]:
-        first = self._first_candidate = Candidate.from_solve(self.first, self.tol, self.begin, FIRST)
+        first = self._first_solve = Candidate.from_solve(self.first, self.tol, self.begin, FIRST)
         yield from self._refine_first_mesh(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
@@ -235,7 +233,7 @@ class StagedRefinement:
         has_arcs = _has_arcs(structures)
         if has_arcs:
             yield from self._solve_with_arcs(first.solution, f"{first.stage}, switching times", structures)
-        if first is self._first_candidate:
+        if first is self._first_solve:
             yield first
         if not has_arcs or first.is_cost_accurate(self.tol):
             yield from self._refine_mesh_by_hp(first.solution, STAGE_MAX_SHARE, f"{first.stage}, {HP}")

@@ -82,10 +82,7 @@ def compute_propagation_errors(phase: PhaseSolution, functions: PhaseFunctions, 
 
 
 def _integrate_between_control_jumps(
-    phase: PhaseSolution,
-    functions: PhaseFunctions,
-    edges: Array,
-    budget: CallLimit | None = None,
+    phase: PhaseSolution, functions: PhaseFunctions, edges: Array, budget: CallLimit | None = None
 ) -> tuple[Array, str]:
     """Return the states at the edges of pieces with smooth applied control (DOP853), and the cause of an early end.
 

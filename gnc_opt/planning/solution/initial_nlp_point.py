@@ -109,8 +109,9 @@ def _copy_phase_guess_to_nlp_point(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _convert_fractions_to_times(old, collocation.normalised_point_times)
-    breaks = _convert_fractions_to_times(old, np.asarray(collocation.mesh.breaks))
+    first, last = old.breaks[[0, -1]]
+    points = first + collocation.normalised_point_times * (last - first)
+    breaks = first + np.asarray(collocation.mesh.breaks) * (last - first)
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
@@ -152,11 +153,6 @@ def _set_boundary_constraint_multipliers(transcription: Transcription, guess: So
             multipliers[f"integral {label}, phase {name}"] = -float(weight)
     for label, row in transcription.boundary_constraint_row_indices.items():
         lam_g[row] = multipliers.get(label, 0.0)
-
-
-def _convert_fractions_to_times(phase: PhaseSolution, fractions: Array) -> Array:
-    first, last = phase.breaks[0], phase.breaks[-1]
-    return np.asarray(first + fractions * (last - first))
 
 
 def guess_from_solution(problem: Problem, solution: Solution) -> Problem:

@@ -101,18 +101,13 @@ def compute_state_scales(
 
 
 def compute_control_scales(
-    phase: PhaseSolution,
-    applied: Array,
-    slope: Array,
-    curvature: Array,
-    terms: float,
-    required: Array | float,
+    phase: PhaseSolution, applied: Array, slope: Array, curvature: Array, terms: float, needed: Array | float
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
     ``applied``, ``slope``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and
     d2H/du2. A constant control has the scale slope / curvature; without it and a range, the one required for the motion
-    (``required``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
+    (``needed``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
     limit the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
     width, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
@@ -133,7 +128,7 @@ def compute_control_scales(
     by_cost = np.where(inactive, inactive_scale, by_cost)
     spans = np.where(spans > NEGLIGIBLE * by_cost, spans, by_cost)
     spans = take_largest_variable_component(spans, phase.controls)
-    fallback = np.where(size > EQUAL * required, np.minimum(size, required), required)
+    fallback = np.where(size > EQUAL * needed, np.minimum(size, needed), needed)
     unmoved = (width == 0) & (np.fmax(variation, by_slope) <= NEGLIGIBLE * fallback)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * fallback, SPAN_MIN_SHARE * size)
     spans = np.where(unmoved, np.fmax(fallback, spans), spans)

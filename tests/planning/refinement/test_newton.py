@@ -314,7 +314,8 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     own = compute_newton_step(problem, stated, at) or pytest.fail("no step")
     again = compute_simplified_newton_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
-    assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
+    assert again.gain == pytest.approx(own.gain)
+    np.testing.assert_array_equal(again.flow.final_state, own.flow.final_state)
     # Twice: the second one begins with the multipliers of the first one.
     moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
     twice = compute_simplified_newton_step(problem, stated, moved, again) or pytest.fail("no step")

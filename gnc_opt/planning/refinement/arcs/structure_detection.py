@@ -86,15 +86,13 @@ def detect_control_structure(samples: PhaseSamples, determined: Sequence[ArcCont
     ).merge_equal_adjacent_arcs()
 
 
-def _classify_linear_arcs(
-    samples: PhaseSamples, i: int, intervals: Sequence[tuple[float, float]]
-) -> KindArray:
+def _classify_linear_arcs(samples: PhaseSamples, i: int, spans: Sequence[tuple[float, float]]) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
     gradient = _compute_relative_hamiltonian_change(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
-    labels[_mask_times_in_intervals(samples, intervals)] = ArcKind.SINGULAR
+    labels[_mask_times_in_intervals(samples, spans)] = ArcKind.SINGULAR
     _absorb_short_bang_arcs(samples, i, labels, gradient)
     return labels
 
@@ -111,16 +109,16 @@ def _replace_bounds_by_path_constraints(
     i: int,
     labels: KindArray,
     paths: list[KindArray],
-    intervals: Sequence[tuple[float, float]],
+    spans: Sequence[tuple[float, float]],
 ) -> None:
-    """Replace bounds of a control by tighter path constraints, except on singular arcs and in ``intervals`` spans."""
+    """Replace bounds of a control by tighter path constraints, except on singular arcs and in ``spans`` spans."""
     samples = limits.samples
     is_interior = ~limits.mask_samples_near_limit(i, NOTABLE * samples.control_scale[i])
     change = _compute_relative_hamiltonian_change(samples, samples.switching_functions, i)
     segments = _find_singular_segments(samples, i, change)
     interior_segments = [k for k in segments if np.mean(is_interior[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, interior_segments)
-    singular |= _mask_times_in_intervals(samples, intervals)
+    singular |= _mask_times_in_intervals(samples, spans)
     control_kinds, path_kinds = limits.label_control_arcs(i, samples.switching_functions[i] < 0)
     labels[:] = select_kind(singular, ArcKind.SINGULAR, control_kinds)
     for row, kinds in path_kinds.items():

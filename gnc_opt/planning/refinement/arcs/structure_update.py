@@ -32,9 +32,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     PhaseStructure,
     select_kind,
 )
-from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    mask_affine_controls,
-)
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import mask_affine_controls
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     add_missing_contact,
     replace_saturated_arc_controls,
@@ -67,7 +65,7 @@ def correct_arc_structure(
             structure, action = correct(c, arc_meshes[name])
             if structure is not None:
                 return {**arc_meshes, name: arc_meshes[name].replace_control_structure(structure)}, action
-    adjusted = {name: _adjust_kinks_and_mesh(c, arc_meshes[name], tol) for name, c in constraints.items()}
+    adjusted = {name: _adjust_arc_mesh(c, arc_meshes[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
@@ -78,9 +76,7 @@ def correct_arc_structure(
     return arc_meshes, ""
 
 
-def _adjust_kinks_and_mesh(
-    constraints: StateConstraints, arc_mesh: ArcMesh, tol: float
-) -> tuple[ArcMesh, str]:
+def _adjust_arc_mesh(constraints: StateConstraints, arc_mesh: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
     """Move kinks to where the solution has them and refine subarcs with large errors."""
     shifted = move_control_kinks(constraints, arc_mesh)
     finer = refine_arc_mesh_by_residuals(constraints.samples, arc_mesh, tol)

@@ -117,10 +117,8 @@ def _solve_costates_at_simultaneous_switches(
     solution: Solution, arc_meshes: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
-    if (
-        not any(find_simultaneous_switches(arc_mesh.structure) for arc_mesh in arc_meshes.values())
-        or verify(solution).ok
-    ):
+    structures = (arc_mesh.structure for arc_mesh in arc_meshes.values())
+    if not any(map(find_simultaneous_switches, structures)) or verify(solution).ok:
         return solution
     split = solve_with_split_switches(solution, arc_meshes, options, budget)
     if split is None or verify(split).ok:

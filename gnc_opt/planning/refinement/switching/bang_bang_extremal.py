@@ -47,25 +47,24 @@ from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradi
 class NewtonStep:
     """Newton step in (start, switches, end), with the flow and multipliers from which it was computed.
 
-    ``change`` (n_switches + 2,) is that of the times, s; ``flow`` and ``cost`` are those before the step, ``gain`` is
-    the relative first-order change of the cost. ``adjoint`` is the derivative of the cost with respect to the final
-    values of the flow; ``multipliers`` are those of the fixed final states, then of the boundary constraints.
-    ``hessian`` (n_free, n_free) of the Lagrangian and ``rows`` (n_conditions, n_free), the gradients of the conditions,
-    refer to the free unknowns. The flow's grid has ``steps`` steps.
+    ``change`` (n_switches + 2,) is that of the times, s; ``flow`` is that before the step, on a grid of ``steps``
+    steps; ``gain`` is the relative first-order change of the cost. ``adjoint`` is the derivative of the cost in the
+    final values of the flow; ``multipliers`` are those of the fixed final states, then of the boundary constraints.
+    In the free unknowns, ``hessian`` (n_free, n_free) is that of the Lagrangian, and ``rows`` (n_conditions, n_free)
+    are the gradients of the conditions.
     """
 
     change: Array
     flow: BangBangFlow
     adjoint: Array
     multipliers: Array
-    cost: float
     gain: float
     hessian: Array
     rows: Array
     steps: int = FLOW_INITIAL_STEPS
 
     def get_relative_step_size(self, switches: Switches) -> float:
-        """Largest entry relative to the phase."""
+        """Return the largest change of a time, relative to the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
@@ -88,8 +87,8 @@ def compute_newton_step(
     adjoint, cost_gradient, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.residuals)
-    gain = float(gradient @ change)
-    return ends.build_switching_time_step(change, gain, adjoint, multipliers, steps, hessian, rows)
+    gain = ends.compute_relative_cost_change(float(gradient @ change))
+    return NewtonStep(ends.expand_change(change), flow, adjoint, multipliers, gain, hessian, rows, steps)
 
 
 def compute_simplified_newton_step(
@@ -113,10 +112,9 @@ def compute_simplified_newton_step(
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.residuals)
     residual = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, residual, rcond=RANK)[0]
-    gain = float((gradient - known.rows.T @ known.multipliers) @ change)
-    return ends.build_switching_time_step(
-        change, gain, adjoint, multipliers, steps, known.hessian, known.rows
-    )
+    cost_change = float((gradient - known.rows.T @ known.multipliers) @ change)
+    gain, matrices = ends.compute_relative_cost_change(cost_change), (known.hessian, known.rows)
+    return NewtonStep(ends.expand_change(change), ends.flow, adjoint, multipliers, gain, *matrices, steps)
 
 
 class _EndConditions:
@@ -165,20 +163,14 @@ class _EndConditions:
         adjoint[self.fixed] += on_states
         return adjoint, slope, curvature
 
-    def build_switching_time_step(
-        self,
-        change: Array,
-        gain: float,
-        adjoint: Array,
-        multipliers: Array,
-        steps: int,
-        hessian: Array,
-        rows: Array,
-    ) -> NewtonStep:
-        """Return the step for changes of the free unknowns and of the cost; ``rows`` are gradients of conditions."""
-        changes, relative = np.zeros(self.free.size), abs(gain) / max(abs(self.cost), TINY)
+    def compute_relative_cost_change(self, change: float) -> float:
+        return abs(change) / max(abs(self.cost), TINY)
+
+    def expand_change(self, change: Array) -> Array:
+        """Return the changes of all unknowns (n_switches + 2,) from those of the free ones."""
+        changes = np.zeros(self.free.size)
         changes[self.free] = change
-        return NewtonStep(changes, self.flow, adjoint, multipliers, self.cost, relative, hessian, rows, steps)
+        return changes
 
 
 def are_gradients_independent(rows: Array) -> bool:
