@@ -115,7 +115,9 @@ def design_feedback_linearization(
         *_report_sampled_loop_stability(errors, gain, dt),
         *report_control_authority(reference, authority, required=True),
     ]
-    u = inverse(-ca.DM(gain) @ _stack_integrator_chain_errors(errors) - errors.drift)
+    orders = _list_output_derivative_orders(errors)
+    chain_errors = ca.vertcat(*[errors.chains[i][k] for i, k in orders])
+    u = inverse(-ca.DM(gain) @ chain_errors - errors.drift)
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
@@ -144,10 +146,6 @@ def _list_output_derivative_orders(errors: OutputErrors) -> list[tuple[int, int]
         for i, r in enumerate(errors.relative_degrees)
         if k < r
     ]
-
-
-def _stack_integrator_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_output_derivative_orders(errors)])
 
 
 def _build_integrator_chain_matrices(errors: OutputErrors) -> tuple[Array, Array]:

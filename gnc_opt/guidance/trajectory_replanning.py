@@ -211,9 +211,8 @@ class Replanner:
     def description(self) -> str:
         """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join(
-            (*about, repr((self.every, self.latency, self.last)), _get_qualified_name(self.follow))
-        )
+        name = getattr(self.follow, "__qualname__", type(self.follow).__qualname__)
+        return " ".join((*about, repr((self.every, self.latency, self.last)), name))
 
     @property
     def model(self) -> Model:
@@ -324,7 +323,3 @@ class Replanner:
                 f"the resolver of a Replanner returned {quote_value(self.solver)}, which has no solve(): write lambda: "
                 "Resolver(plan)."
             )
-
-
-def _get_qualified_name(function: Any) -> str:
-    return str(getattr(function, "__qualname__", type(function).__qualname__))

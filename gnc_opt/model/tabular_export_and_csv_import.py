@@ -152,7 +152,7 @@ def _write_matlab_file(records: TabularData, path: Path) -> None:
         name = _format_matlab_identifier(variable.name)
         content[name] = (
             np.array(list(values[0]), dtype=object)[:, None]
-            if _is_text_array(values)
+            if np.asarray(values).dtype.kind in "OU"
             else np.asarray(values).T
         )
         units[name] = variable.unit
@@ -169,10 +169,6 @@ _WRITERS: dict[str, Callable[[TabularData, Path], None]] = {
 def _format_csv_value(value: Any) -> Any:
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if isinstance(plain, float) and not np.isfinite(plain) else plain
-
-
-def _is_text_array(values: Any) -> bool:
-    return np.asarray(values).dtype.kind in "OU"
 
 
 def _format_matlab_identifier(name: str) -> str:

@@ -247,7 +247,9 @@ class NlpSolver:
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
-        status = _replace_status_after_interrupt(read_solver_status(stats), run)
+        status = read_solver_status(stats)
+        if run.stop and not status.solved:  # requested before the solver had finished, for all plugins
+            status = Status.INTERRUPTED
         started = run.count > 0 or status not in _NEVER_STARTED
         x, lam_x, lam_g = (_flatten_casadi_matrix(raw[name]) for name in ("x", "lam_x", "lam_g"))
         f, g = float(raw["f"]), _flatten_casadi_matrix(raw["g"])
@@ -289,11 +291,6 @@ def _suppress_stderr(active: bool) -> Iterator[None]:
         return
     with contextlib.redirect_stderr(io.StringIO()):
         yield
-
-
-def _replace_status_after_interrupt(status: Status, run: MonitoredSolve) -> Status:
-    """Return INTERRUPTED if the run requested a stop before the solver had finished, for all plugins."""
-    return Status.INTERRUPTED if run.stop and not status.solved else status
 
 
 def _has_iterate_diverged(x: Array, f: float, limit: float) -> bool:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import copy
-import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,9 +19,8 @@ from gnc_opt.argument_checks import (
     read_variable_name,
     require_type,
 )
-from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, quote_value, unknown_name_error, warn_user
-from gnc_opt.model.model_variables import Layout, Symbol, Variable, convert_to_sx_column, read_vector
+from gnc_opt.errors import ProblemError, unknown_name_error
+from gnc_opt.model.model_variables import Symbol, Variable, convert_to_sx_column, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_lower_and_upper_limits, read_value_or_range
@@ -32,128 +29,16 @@ from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import guess_end_states_from_constraint
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
-from gnc_opt.planning.problem.phase_division import divide_phase
+from gnc_opt.planning.problem.phase_linkage_and_division import build_linkage_constraints, divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
 from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_fingerprint import compute_problem_fingerprint
 from gnc_opt.planning.problem.symbolic_expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
-    list_endpoint_arguments,
 )
 from gnc_opt.text_html_and_json_formatting import format_html_heading, format_html_table
-
-
-def compute_problem_fingerprint(problem: ProblemData) -> str:
-    """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
-    digest = hashlib.sha256()
-    digest.update(
-        repr((problem.sense, _list_variable_sizes(problem.parameters), problem.constraint_labels())).encode()
-    )
-    for phase in problem.phases.values():
-        model = phase.model
-        layouts = [
-            _list_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)
-        ]
-        digest.update(repr((phase.name, layouts, phase.path_labels, tuple(phase.integrands))).encode())
-        digest.update(_serialise_phase_expressions(problem, phase))
-        for vector in (
-            _list_fixed_parameter_values(problem, phase),
-            *_list_numeric_arrays_of_bounds(phase.numbers),
-            *_list_numeric_arrays_of_bounds(phase.get_path_bounds()),
-        ):
-            digest.update(vector.tobytes())
-    digest.update(
-        _serialise_expressions(
-            list_endpoint_arguments(problem), [problem.cost, problem.constraint_expression()]
-        )
-    )
-    for vector in (
-        *_list_numeric_arrays_of_bounds(problem.get_boundary_constraint_bounds()),
-        *_list_numeric_arrays_of_bounds(problem.get_parameter_bounds()),
-    ):
-        digest.update(vector.tobytes())
-    return digest.hexdigest()[:16]
-
-
-def _list_variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
-    return tuple((v.name, v.size) for v in layout.variables)
-
-
-def _list_fixed_parameter_values(problem: ProblemData, phase: Phase) -> Array:
-    """Return the values of the model parameters; the values of optimised parameters are ignored."""
-    values = phase.model.parameter_values
-    for name in problem.parameters.names:
-        if name in phase.model.parameters:
-            values[phase.model.parameters.slice(name)] = 0.0
-    return values
-
-
-def _list_numeric_arrays_of_bounds(box: Any) -> Iterable[Array]:
-    for value in vars(box).values():
-        if isinstance(value, Interval):
-            yield from (value.lower, value.upper)
-        elif isinstance(value, np.ndarray):
-            yield value
-
-
-def _serialise_phase_expressions(problem: ProblemData, phase: Phase) -> bytes:
-    expressions = [phase.model.state_derivative(), phase.path_expression(), phase.integrand_expression()]
-    return _serialise_expressions(
-        [*phase.model.symbolic_arguments(), problem.parameter_symbols()], expressions
-    )
-
-
-def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
-    """Return expressions as bytes, with the indices of their symbols and all digits of their constants."""
-    return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
-
-
-def build_linkage_constraints(
-    problem: str,
-    first: Phase,
-    second: Phase,
-    states: Iterable[str] | None,
-    time: bool,
-    jump: Mapping[str, ArrayLike] | None,
-) -> Iterator[tuple[str, Any, Array]]:
-    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``."""
-    label = f"link_{first.name}_{second.name}"
-    if time and first is second:
-        raise ProblemError(f"{label} of problem '{problem}' joins a phase to itself: use time=False.")
-    own = first.own_states | second.own_states
-    shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
-    names = shared if states is None else _read_state_names(states, f"the states of {label}")
-    jumps = (
-        {}
-        if jump is None
-        else require_type(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
-    )
-    for name in dict.fromkeys([*names, *jumps]):
-        start, end = second.initial_state(name), first.final_state(name)
-        if start.shape != end.shape:
-            raise ProblemError(
-                f"{label} of problem '{problem}' joins state '{name}' of {end.shape[0]} components to "
-                f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
-            )
-        units = [phase.model.states[name].unit for phase in (first, second)]
-        if all(units) and units[0] != units[1]:
-            warn_user(
-                f"{label} of problem '{problem}' links '{name}' in {units[0]} to {units[1]}, but units are not "
-                "converted: use one unit, or omit it in states=[...] and constrain() it with a factor."
-            )
-        value = read_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
-        second.handed[name] = (first.name, value)
-        yield f"{label}_{name}", start - end, value
-    if time:
-        second.follows = first.name
-        yield f"{label}_time", second.initial_time - first.final_time, read_vector(0.0, 1, label)
-
-
-def _read_state_names(states: Iterable[str], what: str) -> list[str]:
-    if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
-        return list(states)
-    raise ProblemError(f"{what} are {quote_value(states)}: give a list of names.")
 
 
 class Problem(ProblemData):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, suggest_similar_name, unknown_name_error, warn_user
+from gnc_opt.errors import ProblemError, unknown_name_error, warn_user
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.optimality.kkt_system import ProgramPoint
@@ -28,6 +28,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_state_polynomial, read_phase_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataPerturbation, KktPoint, SolutionDerivative
+from gnc_opt.planning.study.problem_data_perturbation import list_problem_data_perturbations
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
@@ -213,7 +214,7 @@ def sensitivity(
     solution.need_solved_problem("differentiate")
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
-    quantity, changes = _list_problem_data_perturbations(point.program, solution, kind, name, phase)
+    quantity, changes = list_problem_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
     return _assemble_solution_sensitivity(point.program, solution, quantity, changes, responses)
 
@@ -255,122 +256,6 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
                 "refine(solution, structure='auto') resolves bang-bang arcs."
             )
             return
-
-
-# --- the quantity ---------------------------------------------------------------------------------
-
-
-def _list_problem_data_perturbations(
-    program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
-) -> tuple[str, list[DataPerturbation]]:
-    if kind == "parameter":
-        return f"parameter '{name}'", _perturb_model_parameter(program, name, phase)
-    if kind == "constraint":
-        return f"boundary constraint '{name}'", _perturb_boundary_constraint_limits(program, solution, name)
-    selected = solution.phase(phase)
-    if kind == "time":
-        if name not in ("initial", "final"):
-            raise ProblemError(
-                f"sensitivity() has no time {name!r}: {suggest_similar_name(str(name), ('initial', 'final'))}"
-            )
-        return f"{name} time of phase '{selected.name}'", [
-            _perturb_phase_end_time(program, selected.name, name)
-        ]
-    return f"{kind} value of '{name}' in phase '{selected.name}'", _perturb_end_states(
-        program, selected, kind, name
-    )
-
-
-def _create_zero_data_perturbation(program: ProgramPoint) -> DataPerturbation:
-    transcription = program.transcription
-    return DataPerturbation(
-        np.zeros(transcription.stack_model_parameters_and_fixed_times(program.problem).size),
-        np.zeros(transcription.n_variables),
-        np.zeros(transcription.n_constraints),
-    )
-
-
-def _perturb_model_parameter(program: ProgramPoint, name: str, phase: str | None) -> list[DataPerturbation]:
-    """Return the directions of a model parameter, in every phase that has it (or in one)."""
-    problem = program.problem
-    if name in problem.parameters:
-        raise ProblemError(
-            f"parameter '{name}' of problem '{problem.name}' is optimised, so that its value has no effect: choose "
-            "a parameter of a model, or read Sensitivity.parameter()."
-        )
-    starts, offset = {}, 0
-    for candidate in problem.phases.values():
-        if name in candidate.model.parameters and phase in (None, candidate.name):
-            starts[candidate.name] = offset + candidate.model.parameters.slice(name).start
-        offset += candidate.model.parameters.size
-    if not starts:
-        known = sorted({n for candidate in problem.phases.values() for n in candidate.model.parameters.names})
-        raise unknown_name_error("model parameter", name, f"problem '{problem.name}'", known)
-    size = problem.phases[next(iter(starts))].model.parameters[name].size
-    changes = []
-    for component in range(size):
-        change = _create_zero_data_perturbation(program)
-        change.numbers[[start + component for start in starts.values()]] = 1.0
-        changes.append(change)
-    return changes
-
-
-def _perturb_end_states(
-    program: ProgramPoint, phase: PhaseSolution, end: str, name: str
-) -> list[DataPerturbation]:
-    rows = phase.states.slice(name)
-    collocation = program.transcription.parts[phase.name].collocation
-    places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
-    changes = []
-    for place, label in zip(places, phase.states.labels[rows], strict=True):
-        if not program.variables.active[place]:
-            raise ProblemError(
-                f"the {end} value of '{label}' in phase '{phase.name}' of '{program.problem.name}' is not fixed and "
-                "not at a limit, so that there is no derivative: choose another state."
-            )
-        change = _create_zero_data_perturbation(program)
-        change.limits[place] = 1.0
-        changes.append(change)
-    return changes
-
-
-def _perturb_phase_end_time(program: ProgramPoint, phase: str, end: str) -> DataPerturbation:
-    transcription = program.transcription
-    place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _create_zero_data_perturbation(program)
-    if place >= transcription.n_variables:
-        n_models = change.numbers.size - 2 * len(transcription.parts)
-        change.numbers[n_models + place - transcription.n_variables] = 1.0
-    elif program.variables.active[place]:
-        change.limits[place] = 1.0
-    else:
-        raise ProblemError(
-            f"the {end} time of phase '{phase}' of '{program.problem.name}' is optimised, so that "
-            "its value has no effect: fix it with time() first."
-        )
-    return change
-
-
-def _perturb_boundary_constraint_limits(
-    program: ProgramPoint, solution: Solution, name: str
-) -> list[DataPerturbation]:
-    solution.multiplier(name)  # raises an error for unknown names
-    rows = program.transcription.constraint_rows
-    changes = []
-    for label, row in zip(solution.constraint_labels, rows, strict=True):
-        if label.split("[")[0] != name:
-            continue
-        if not program.rows.active[row]:
-            raise ProblemError(
-                f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
-            )
-        change = _create_zero_data_perturbation(program)
-        change.row_limits[row] = 1.0
-        changes.append(change)
-    return changes
-
-
-# --- the derivatives ------------------------------------------------------------------------------
 
 
 def _assemble_solution_sensitivity(
@@ -498,9 +383,10 @@ def _differentiate_rates_at_points(
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
     p = read_phase_parameters(problem, own, q)
     functions = compile_phase_functions(problem, part.name, p, q, phase.integral_weights)
-    offset = sum(
-        other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
-    )  # index of the parameters of this phase
+    # Index of the parameters of this phase.
+    names = list(problem.phases)
+    earlier = (problem.phases[name] for name in names[: names.index(part.name)])
+    offset = sum(other.model.parameters.size for other in earlier)
     directions = [
         time_changes[None, :],
         moved[collocation.point_states],
@@ -511,11 +397,6 @@ def _differentiate_rates_at_points(
     derivative = _build_rate_derivative_function(problem, own)
     change_of_f = evaluate_casadi_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.state_rates(times, x, u))
-
-
-def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
-    names = list(problem.phases)
-    return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
 def _build_rate_derivative_function(problem: Problem, phase: Phase) -> Any:

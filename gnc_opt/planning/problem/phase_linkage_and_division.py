@@ -1,8 +1,8 @@
-"""Division of a phase at times or at fractions of its duration, for constraints during a time window."""
+"""Linkage of phases, and division of a phase at times or at fractions of its duration, for time windows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Protocol
@@ -11,11 +11,60 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_float_array
-from gnc_opt.errors import ProblemError
+from gnc_opt.argument_checks import read_float_array, require_type
+from gnc_opt.array_types import Array
+from gnc_opt.errors import ProblemError, quote_value, warn_user
+from gnc_opt.model.model_variables import read_vector
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase, PhaseOwner
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
+
+
+def build_linkage_constraints(
+    problem: str,
+    first: Phase,
+    second: Phase,
+    states: Iterable[str] | None,
+    time: bool,
+    jump: Mapping[str, ArrayLike] | None,
+) -> Iterator[tuple[str, Any, Array]]:
+    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``."""
+    label = f"link_{first.name}_{second.name}"
+    if time and first is second:
+        raise ProblemError(f"{label} of problem '{problem}' joins a phase to itself: use time=False.")
+    own = first.own_states | second.own_states
+    shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
+    names = shared if states is None else _read_state_names(states, f"the states of {label}")
+    jumps = (
+        {}
+        if jump is None
+        else require_type(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
+    )
+    for name in dict.fromkeys([*names, *jumps]):
+        start, end = second.initial_state(name), first.final_state(name)
+        if start.shape != end.shape:
+            raise ProblemError(
+                f"{label} of problem '{problem}' joins state '{name}' of {end.shape[0]} components to "
+                f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
+            )
+        units = [phase.model.states[name].unit for phase in (first, second)]
+        if all(units) and units[0] != units[1]:
+            warn_user(
+                f"{label} of problem '{problem}' links '{name}' in {units[0]} to {units[1]}, but units are not "
+                "converted: use one unit, or omit it in states=[...] and constrain() it with a factor."
+            )
+        value = read_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
+        second.handed[name] = (first.name, value)
+        yield f"{label}_{name}", start - end, value
+    if time:
+        second.follows = first.name
+        yield f"{label}_time", second.initial_time - first.final_time, read_vector(0.0, 1, label)
+
+
+def _read_state_names(states: Iterable[str], what: str) -> list[str]:
+    if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
+        return list(states)
+    raise ProblemError(f"{what} are {quote_value(states)}: give a list of names.")
 
 
 class DivisibleProblem(PhaseOwner, Protocol):
