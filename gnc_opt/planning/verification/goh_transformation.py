@@ -132,8 +132,7 @@ def _find_undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) ->
     singular = mask_singular_segments(s)
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
-    middles = compute_interval_midpoints(np.asarray(part.collocation.mesh.breaks))
-    segments = np.searchsorted(s.phase.mesh.breaks, middles) - 1
+    segments = _map_refined_to_coarse_segments(s.phase.mesh, part.collocation.mesh)
     return singular[:, segments] & _mask_segments_without_active_limits(cone, part)
 
 
@@ -146,6 +145,11 @@ def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> 
             for i in arc.channels:
                 mask[i, s.segments[slice(*arc.samples)]] = True
     return mask
+
+
+def _map_refined_to_coarse_segments(mesh: Mesh, fine: Mesh) -> Indices:
+    middles = compute_interval_midpoints(np.asarray(fine.breaks))
+    return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
 def _mask_segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> Mask:

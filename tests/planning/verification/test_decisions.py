@@ -121,7 +121,9 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("_check_first_order_conditions", lambda: list(first))
     result("find_concave_kink", state["concave"], "c")
     result("attains_lower_bound", state["least"], "b")
-    second = [condition(n, v, sufficient=True) for n, v in zip(check._SECOND_ORDER, state["second"], strict=True)]
+    second = [
+        condition(n, v, sufficient=True) for n, v in zip(check._SECOND_ORDER, state["second"], strict=True)
+    ]
     result("_check_second_order_and_switching_times", lambda: list(second), "s")
     result("_check_singular_arcs", list, "a")
     result("_is_solution_unique", state["unique"], "u")
