@@ -284,9 +284,7 @@ def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
     at_upper[2, 40:60] = False
     s = fake(
         times=t,
-        control_gradient=gradient,
-        control_scale=np.full(4, 2.0),
-        hamiltonian_scale=4.0,
+        relative_control_gradient=0.5 * gradient,
         is_at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
     )
     np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
