@@ -57,8 +57,6 @@ def _find_jump_candidates(
         functions, phase, fit = (bind_parameters(problem, name, q), problem.phases[name], fitted[name])
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
         pure = np.flatnonzero([order != 0 for order in orders])
-        if not pure.size:
-            continue
         times = fit.x.breaks
         # A shared value belongs to the segment that starts there; the last one to the last segment.
         x, u = fit.x(times), fit.u(times)

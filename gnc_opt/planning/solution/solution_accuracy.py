@@ -218,7 +218,8 @@ class Accuracy:
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
-    violation, end_error, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
+    violation = end_error = (0.0, 0.0, "")
+    defect = NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
         phase, edges = s.phase, s.phase.applied.jump_times
@@ -233,7 +234,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
         paths = s.functions.path_constraints(pieces.ravel(), x, u)
         of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
-        violation = max(violation, of_states, of_paths, key=itemgetter(0))
+        violation = max([violation, *of_states, *of_paths], key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, *violation[1:], *end_error[1:], defect.value, defect.where)
 
@@ -251,10 +252,10 @@ def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) 
 
 def _find_limit_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: Sequence[str]
-) -> tuple[float, float, str]:
+) -> list[tuple[float, float, str]]:
     """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
-        return 0.0, 0.0, ""
+        return []
     with np.errstate(invalid="ignore"):
         excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
     excess = np.where(np.isfinite(values), excess, -np.inf)
@@ -266,8 +267,8 @@ def _find_limit_violation(
     curve_excess = np.maximum(box.lower[i] - curve, curve - box.upper[i])
     peak = float(np.max(curve_excess, where=np.isfinite(curve), initial=-np.inf))
     if not peak > ROUNDING * max(float(magnitudes[i]), float(scale[i])):
-        return 0.0, 0.0, ""
-    return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[int(i)])
+        return []
+    return [(peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[int(i)]))]
 
 
 def _extract_unit_from_label(where: str) -> str:

@@ -163,11 +163,15 @@ def test_figures_show_what_they_say():
     apart = np.hypot(line.get_xdata() - disk.center[0], line.get_ydata()) / disk.radius
     assert 1 - 1e-3 < apart.min() < 1.01  # it touches the disk
     left, right = plot_response(response, "sensitivity").axes
-    assert left.lines[0].get_ydata() == pytest.approx(np.abs(response.sensitivity(omega)[:, 0, 0]))
-    assert right.lines[0].get_ydata()[0] == pytest.approx(1.0, abs=0.01)
-    assert plot_response(response, "margins").axes[0].lines[0].get_ydata() == pytest.approx(
-        response.disk_margins
-    )
+    s, alpha = response.sensitivity(omega)[:, 0, 0], response.disk_margins
+    assert left.lines[0].get_ydata() == pytest.approx(np.abs(s)) and left.get_ylim() == (1e-3, 10.0)
+    assert right.lines[0].get_ydata() == pytest.approx(np.abs(1 - s)) and right.get_ylim() == (1e-3, 10.0)
+    known = {gain: 1.0, phase: -180.0, left: 1.0, right: 1.0}
+    assert {ax: ax.lines[-1].get_ydata()[0] for ax in known} == known
+    assert {ax.get_xlim() for ax in known} == {(omega[0], omega[-1])}
+    margins = [ax.lines[0].get_ydata() for ax in plot_response(response, "margins").axes]
+    factor, angle = (2 + alpha) / (2 - alpha), np.degrees(2 * np.arctan(alpha / 2))
+    assert np.allclose(margins, [alpha, 20 * np.log10(factor), angle])
 
 
 @pytest.mark.parametrize("kind", ["bode", "nyquist", "sensitivity"])

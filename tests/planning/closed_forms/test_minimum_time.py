@@ -8,11 +8,9 @@ unique.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-from testing.closed_forms import SCHEMES, Array, Truth, assert_matches, constant, solve
+from testing.closed_forms import SCHEMES, Truth, assert_matches, constant, solve
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -139,54 +137,6 @@ def test_two_phases_with_different_authority(scheme: str) -> None:
     assert_matches(solution, before, 1e-8, "first")
     assert_matches(solution, after, 1e-8, "second")
     assert solution.multiplier("gate") == pytest.approx(-slope - slope_after, abs=1e-8)
-
-
-BRACHISTOCHRONE_MESHES = {"mixed": go.Mesh((0.0, 0.2, 0.5, 1.0), (10, 11, 12))}
-
-
-@pytest.mark.parametrize("mesh", BRACHISTOCHRONE_MESHES.values(), ids=BRACHISTOCHRONE_MESHES)
-def test_brachistochrone(mesh: go.Mesh, scheme: str) -> None:
-    """The cycloid to (2, 2) m, y down (Bryson & Ho 1975): with th = a / 2, lam_x v = -sin th, H = -1.
-
-    The bounds keep the angle from wrapping. Even far away an interior-point method lets a bound push by
-    about its tolerance over the point's weight, hence 1e-12.
-    """
-    g, target = 9.8, 2.0
-    bead = go.Model("bead")
-    x, y, v, th = bead.state("x"), bead.state("y"), bead.state("v"), bead.control("th")
-    bead.ode({x: v * ca.sin(th), y: v * ca.cos(th), v: g * ca.cos(th)})
-    problem, leg = one_phase("brachistochrone", bead, initial=0.0, final=(0.1, 10.0))
-    leg.initial(x=0.0, y=0.0, v=0.0)
-    leg.final(x=target, y=target)
-    leg.bounds(th=(-1.0, np.pi))
-    leg.guess(th=(0.2, 1.2), v=(0.0, 6.0))
-    problem.minimize(leg.final_time)
-    solution = solve(problem, mesh, scheme, tolerance=1e-12)
-
-    a_end = brentq(lambda a: (a - np.sin(a)) - (1 - np.cos(a)), 1.0, 4.0, xtol=1e-15)
-    radius = target / (1 - np.cos(a_end))
-    rate = np.sqrt(g / radius)
-    lam_y = -np.cos(a_end / 2) / (2 * np.sqrt(g * radius) * np.sin(a_end / 2))
-
-    def speed(t: Array) -> Array:
-        return 2 * np.sqrt(g * radius) * np.sin(rate * t / 2)
-
-    truth = Truth(
-        a_end / rate,
-        states={
-            "x": lambda t: radius * (rate * t - np.sin(rate * t)),
-            "y": lambda t: radius * (1 - np.cos(rate * t)),
-            "v": speed,
-        },
-        controls={"th": lambda t: rate * t / 2},
-        costates={
-            "x": constant(-1 / (2 * np.sqrt(g * radius))),
-            "y": constant(lam_y),
-            "v": lambda t: -(np.cos(rate * t / 2) + lam_y * speed(t)) / g,
-        },
-        hamiltonian=constant(-1.0),
-    )
-    assert_matches(solution, truth, 1e-8)
 
 
 def test_an_arc_cannot_be_shorter_than_nothing(scheme: str) -> None:

@@ -12,7 +12,6 @@ from testing.closed_forms import (
     Truth,
     assert_matches,
     constant,
-    integrate,
     solve,
 )
 from testing.models import dynamics, one_phase
@@ -56,56 +55,6 @@ def test_minimum_energy(mesh: go.Mesh, scheme: str) -> None:
     impulses = solution.phase().state_impulses
     np.testing.assert_allclose(impulses[:, 0], [12.0, 6.0], rtol=1e-9)
     np.testing.assert_allclose(impulses[:, -1], [-12.0, 6.0], rtol=1e-9)
-
-
-@on_smooth_meshes
-def test_scalar_regulator(mesh: go.Mesh, scheme: str) -> None:
-    """min 1/2 int x^2 + u^2, x' = u, free end: lam = sinh(T - t) / cosh(T) = tanh(T - t) x (Riccati)."""
-    T = 2.0
-    problem, leg = integrator(0.0, T)
-    leg.initial(x=1.0)
-    x, u = leg.model.symbol("x"), leg.model.symbol("u")
-    problem.minimize(leg.integral((x**2 + u**2) / 2))
-    truth = Truth(
-        0.5 * np.tanh(T),
-        states={"x": lambda t: np.cosh(T - t) / np.cosh(T)},
-        controls={"u": lambda t: -np.sinh(T - t) / np.cosh(T)},
-        costates={"x": lambda t: np.sinh(T - t) / np.cosh(T)},
-        hamiltonian=constant(0.5 / np.cosh(T) ** 2),
-    )
-    assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
-
-
-@on_smooth_meshes
-def test_tracking_with_terminal_cost(mesh: go.Mesh, scheme: str) -> None:
-    """min 1/2 int (x - sin t)^2 + u^2 + 3/2 (x(T) - 2)^2, x' = u: explicit time, H not constant."""
-    T, weight, target = 2.0, 3.0, 2.0
-    problem, leg = integrator(0.0, T)
-    leg.initial(x=0.5)
-    x, u, t = leg.model.symbol("x"), leg.model.symbol("u"), leg.model.time
-    running = leg.integral(((x - ca.sin(t)) ** 2 + u**2) / 2)
-    problem.minimize(running + weight * (leg.final_state("x") - target) ** 2 / 2)
-    # x'' = x - sin t: x = A cosh t + B sinh t + sin(t) / 2; at the end -x'(T) = weight (x(T) - target).
-    A = 0.5
-    B = (weight * (target - A * np.cosh(T) - np.sin(T) / 2) - A * np.sinh(T) - np.cos(T) / 2) / (
-        np.cosh(T) + weight * np.sinh(T)
-    )
-
-    def state(t):
-        return A * np.cosh(t) + B * np.sinh(t) + np.sin(t) / 2
-
-    def rate(t):
-        return A * np.sinh(t) + B * np.cosh(t) + np.cos(t) / 2
-
-    truth = Truth(
-        integrate(lambda t: ((state(t) - np.sin(t)) ** 2 + rate(t) ** 2) / 2, 0, T)
-        + weight * (state(T) - target) ** 2 / 2,
-        states={"x": state},
-        controls={"u": rate},
-        costates={"x": lambda t: -rate(t)},
-        hamiltonian=lambda t: ((state(t) - np.sin(t)) ** 2 - rate(t) ** 2) / 2,
-    )
-    assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
 
 
 @on_smooth_meshes

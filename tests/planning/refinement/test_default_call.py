@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -93,6 +94,7 @@ def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     solution = go.solve(problem)
     assert solution.converged and go.verify(solution).ok
     assert solution.objective == pytest.approx(12.0 * unit**2, rel=1e-9)
+    assert_known(solution, go.verify(solution))
     times = np.linspace(0.0, 1.0, 41)
     np.testing.assert_allclose(
         solution.phase("leg").applied(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -44,6 +45,7 @@ def test_a_path_constraint_takes_over_from_the_bound_of_a_control(limit: Limit) 
     time = over + (SPEED - EXHAUST * np.log(MASS / left)) / MOST
     solution = go.solve(sled(limit), mesh="8x4")
     assert solution.converged and go.verify(solution).ok
+    assert_known(solution, go.verify(solution))
     assert solution.objective == pytest.approx(time, abs=1e-9)
     thrust, limited = ([a for a in solution.structure if a.channel == name] for name in ("T", "acceleration"))
     assert [a.kind for a in thrust] == [ArcKind.UPPER, ArcKind.CONSTRAINED]

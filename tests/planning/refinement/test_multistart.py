@@ -202,6 +202,21 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "duration", "longest"),
+    [((2.0, 3.0), 5.0, (1.0, 2.6), 2.6), (1.0, (2.5, 3.8), (2.0, 4.0), 2.8)],
+)
+def test_drawn_times_fill_what_all_their_limits_allow(
+    first: Any, last: Any, duration: Any, longest: float
+) -> None:
+    model = dynamics("drift", "x", "u", lambda x, u: {x: u})[0]
+    problem, _ = one_phase("drift", model, first, last, duration=duration)
+    times = [with_random_guess(problem, 0, k).get_phase().numbers.guess.time[[0, -1]] for k in range(1, 60)]
+    spans = np.diff(times).ravel()
+    assert 2.0 <= np.min(spans) < 2.05 and longest - 0.05 < np.max(spans) <= longest + 1e-12
+    assert {first, last} & set(np.ravel(times))  # the fixed one
+
+
 def test_a_free_initial_angle_is_drawn_from_the_revolution_about_its_guess() -> None:
     """The guess is 0: the draws fill its revolution within the bounds, from -1 rad on, and the angle ends in them."""
     drawn = [with_random_guess(spiral(None, (-9.0, 9.0)), 0, k).get_phase() for k in range(1, 300)]

@@ -17,6 +17,7 @@ from testing.internals import (
     optimise_switching_times,
     solve_problem_on_mesh,
 )
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -243,6 +244,7 @@ def test_a_limit_that_is_no_longer_met(limited: Resolver, tol: dict[str, float])
     """Half a metre is flown at 0.71 m/s at most: the arc on the limit is gone, and its boundaries with it."""
     found = go.solve(limited.solution.need_problem("").with_initial(q=-0.5), guess=limited.solution, **tol)
     assert found.objective == pytest.approx(2**0.5, rel=1e-9) and go.verify(found).minimum
+    assert_known(found, go.verify(found))
 
 
 def test_a_smooth_guess_is_as_accurate_again() -> None:

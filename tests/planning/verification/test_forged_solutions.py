@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import Interval, PiecewisePolynomial
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import (
     added,
@@ -283,6 +284,7 @@ def test_costates_that_rightly_vanish_are_costates() -> None:
     nothing = replace(right, phases={"leg": replace(right.phase(), x=ending_at_zero(right.phase().x))})
     verdict = go.verify(scaled(nothing, "lam", 0.0))
     assert verdict.ok, verdict.explain()
+    assert_known(verdict)
 
 
 def ending_at_zero(x: PiecewisePolynomial) -> PiecewisePolynomial:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import one_switch
 
@@ -138,6 +139,7 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
             total += 0.5 * (right - left) * weights @ (-0.8 * x - 0.1 * x**2 + 0.3 * t * x)
         return float(total)
 
+    assert_known(solution, go.verify(solution))
     point = np.array([solution.state("x")(start), solution.phase().breaks[1] - start])
     step, units = 1e-3, np.eye(2)
     hessian = np.array(

@@ -6,6 +6,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -276,6 +277,7 @@ def test_kinks_that_meet(kinks: Any, result: str, place: str) -> None:
     verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t, "w": 0 * t}, none)
     assert verdict["kinks"].result is go.ConditionResult[result]
     assert verdict.ok == (result != "FAIL")
+    assert_known(verdict)
 
 
 @pytest.mark.parametrize(

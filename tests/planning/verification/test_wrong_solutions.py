@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import (
     added,
@@ -232,6 +233,7 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     found = {c.name for c in verdict.failed}
     assert wrong.condition in found
     assert [c.name for c in verdict.conditions] == [c.name for c in before.conditions]
+    assert_known(before, verdict)
     for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
         assert c.result is not go.ConditionResult.PASS or c.value <= c.tolerance
         assert c.result is not go.ConditionResult.FAIL or not c.value < c.tolerance
