@@ -70,6 +70,7 @@ def check_bounds_and_times(problem: ProblemData) -> None:
     for phase in problem.phases.values():
         _check_phase_start_after_predecessor(problem, phase)
     _check_boundary_constraints(problem)
+    _check_cost_varies(problem)
 
 
 # --- numbers ------------------------------------------------------------------------------------------
@@ -178,27 +179,59 @@ def _check_phase_start_after_predecessor(problem: ProblemData, phase: Phase) -> 
 
 def _check_boundary_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
-    box, phases = problem.get_boundary_constraint_bounds(), problem.phases.values()
+    box = problem.get_boundary_constraint_bounds()
     if not box.lower.size:
         return
-    arguments: list[Interval] = []
-    for phase in phases:
-        values, p = phase.numbers, phase.model.parameter_values
-        ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
-        arguments += [*ends, *phase.time_ranges(), unbounded_interval(len(phase.integrands)), Interval(p, p)]
 
     def build_constraint_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", list_endpoint_arguments(problem), [ca.densify(rows)])
 
     function = problem.memoize("constraints", build_constraint_function)
-    reached = bound_function_values(function, [*arguments, problem.get_parameter_bounds()])
+    reached = bound_function_values(function, _list_endpoint_ranges(problem))
     for k in _find_infeasible_constraint_rows(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
             f"and end values of the phases: it is {_format_range(reached, k)} there, not within "
             f"{_format_range(box, k)}: correct one of the two."
         )
+
+
+def _check_cost_varies(problem: ProblemData) -> None:
+    """Raise an error for a cost of fixed quantities alone, for which all controls are optimal."""
+    if not any(phase.model.controls.size for phase in problem.phases.values()):
+        return  # a boundary value problem
+    spans = [phase.numbers.duration for phase in problem.phases.values()]
+    fixed = tuple(span.lower[0] if span.is_fixed[0] else None for span in spans)
+
+    def build_cost_function() -> Any:
+        cost = substitute_parameters(problem, problem.cost)
+        for phase, span in zip(problem.phases.values(), fixed, strict=True):
+            if span is not None:
+                cost = ca.substitute(cost, phase.final_time, phase.initial_time + span)
+            for symbol, value in phase.integrands.values():
+                cost = ca.substitute(cost, symbol, value * phase.duration) if value.is_constant() else cost
+        return ca.Function("cost", list_endpoint_arguments(problem), [ca.densify(cost)])
+
+    function = problem.memoize(("cost", fixed), build_cost_function)
+    reached = bound_function_values(function, _list_endpoint_ranges(problem))
+    least, most = float(reached.lower[0]), float(reached.upper[0])
+    if most <= least + ROUNDING * abs(least):
+        raise ProblemError(
+            f"the cost of problem '{problem.name}' is {least:g} for all controls, because it contains only "
+            "fixed quantities: free one or minimise another; the integral of the squared controls gives a smooth "
+            "feasible trajectory."
+        )
+
+
+def _list_endpoint_ranges(problem: ProblemData) -> list[Interval]:
+    """Return the ranges of `list_endpoint_arguments`; those of integrals are unbounded."""
+    arguments: list[Interval] = []
+    for phase in problem.phases.values():
+        values, p = phase.numbers, phase.model.parameter_values
+        ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
+        arguments += [*ends, *phase.time_ranges(), unbounded_interval(len(phase.integrands)), Interval(p, p)]
+    return [*arguments, problem.get_parameter_bounds()]
 
 
 def _format_range(interval: Interval | None, i: int) -> str:

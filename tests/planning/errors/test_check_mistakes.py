@@ -154,6 +154,32 @@ def test_boundary_constraint_that_the_last_end_meets() -> None:
     problem.check()
 
 
+@pytest.mark.parametrize(
+    ("times", "cost", "value"),
+    [
+        ({"final": 3.0}, lambda leg: leg.final_time, 3),
+        ({"initial": None, "final": None, "duration": 3.0}, lambda leg: 2 * leg.duration, 6),
+        ({"final": (1.0, 3.0)}, lambda leg: leg.final_state("q") ** 2, 0.25),
+        ({"final": 3.0}, lambda leg: leg.integral(0.5), 1.5),
+        ({"final": 3.0}, lambda leg: 4.0, 4),
+    ],
+)
+def test_cost_that_no_control_changes_refused(times: dict[str, Any], cost: Any, value: float) -> None:
+    problem, model = go.Problem("p"), cart()
+    leg = problem.phase("leg", model)
+    leg.time(**times)
+    leg.final(q=0.5)
+    problem.minimize(cost(leg))
+    with refused(
+        go.ProblemError, f"the cost of problem 'p' is {value:g} for all controls", "squared controls"
+    ):
+        problem.check()
+    if ca.symvar(problem.cost):
+        leg.final(q=None)
+        leg.time(0.0, None, duration=(0.1, None))
+        problem.check()
+
+
 def test_declared_and_not_used_refused() -> None:
     model = go.Model("cart")
     q, a = model.state("q"), model.control("a")
