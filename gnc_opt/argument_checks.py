@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import functools
 import inspect
 import keyword
 import numbers
+import re
 from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
@@ -22,7 +24,7 @@ from gnc_opt.errors import (
     quote_value,
     suggest_similar_name,
 )
-from gnc_opt.renamed_public_names import RENAMED_MEMBERS, RENAMED_PARAMETERS
+from gnc_opt.renamed_public_names import GUESSED_MEMBERS, RENAMED_MEMBERS, RENAMED_PARAMETERS
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -86,23 +88,25 @@ class StrictAttributes:
 
 
 def _build_unknown_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttributeError:
-    public = [known for known in dir(type(instance)) if not known.startswith("_")]
-    owners = [
-        c.__name__
-        for c in _find_concrete_subclasses(StrictAttributes)
-        if not name.startswith("_") and hasattr(c, name)
-    ]
-    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_similar_name(name, public)
-    now = RENAMED_MEMBERS.get(f"{type(instance).__name__}.{name}")
-    remedy = remedy if now is None else f"it is now '{now}'."
+    member = f"{type(instance).__name__}.{name}"
+    public = sorted({known for known in object.__dir__(instance) if not known.startswith("_")})
+    owners = {c.__name__ for c in _find_concrete_subclasses(StrictAttributes) if hasattr(c, name)}
+    if member in RENAMED_MEMBERS:
+        remedy = f"it is now '{RENAMED_MEMBERS[member]}'."
+    elif member in GUESSED_MEMBERS:
+        remedy = f"use {GUESSED_MEMBERS[member]}."
+    elif owners and not name.startswith("_") and not difflib.get_close_matches(name, public, cutoff=0.85):
+        remedy = f"it belongs to a {' or a '.join(sorted(owners))}."
+    else:
+        remedy = suggest_similar_name(name, public)
     return UnknownAttributeError(f"{_format_class_and_object_name(instance)} has no '{name}': {remedy}")
 
 
 def _format_class_and_object_name(instance: StrictAttributes) -> str:
-    kind = type(instance).__name__.lower()
+    kind = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(instance).__name__).lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
-    except AttributeError:  # in the constructor
+    except AttributeError:  # without a name, or in the constructor
         return kind
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import reprlib
 import sys
+import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
 
@@ -73,7 +74,8 @@ def suggest_similar_name(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(str(name).lower(), lowered, n=1, cutoff=0.6)
     if near:
         return f"did you mean '{lowered[near[0]]}'?"
-    return f"known: {', '.join(names)}." if names else "none is declared."
+    shown = textwrap.shorten(", ".join(names), 300, placeholder=" ...")
+    return f"known: {shown}." if names else "none is declared."
 
 
 def unknown_name_error(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:

@@ -20,6 +20,9 @@ REMOVED: dict[str, str] = _NAMES["removed"]
 RENAMED_MEMBERS: dict[str, str] = _NAMES["members"]
 """Present member of each former one of a model, phase or problem, ``Class.name``."""
 
+GUESSED_MEMBERS: dict[str, str] = _NAMES["guessed members"]
+"""Present member or call for names of other tools, ``Class.name``."""
+
 RENAMED_STATUS_WORDS: dict[str, str] = _NAMES["status words"]
 """Present word of each former status word: the member name in lower case."""
 

@@ -10,6 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from gnc_opt.argument_checks import StrictAttributes
+
 
 class Html(str):
     """HTML text, which a table shows as it is."""
@@ -96,10 +98,13 @@ def format_html_preformatted(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
-class PrintableResult:
-    """Base class of results with equal output in notebooks and by `print`."""
+class PrintableResult(StrictAttributes):
+    """Base class of results with equal output in notebooks and by `print`; subclasses define ``__str__``."""
 
     __slots__ = ()
+
+    def __repr__(self) -> str:
+        return f"<{str(self).splitlines()[0]}>"
 
     def _repr_html_(self) -> str:
         return format_html_preformatted(str(self))

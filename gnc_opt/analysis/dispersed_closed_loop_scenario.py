@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_integer, require_type
+from gnc_opt.argument_checks import StrictAttributes, read_integer, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign_batches_and_checkpoints import RunBatch, merge_run_batches
@@ -28,7 +28,7 @@ _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 
 
 @dataclass(frozen=True, eq=False)
-class Scenario:
+class Scenario(StrictAttributes):
     """Closed loop with initial state, time span, dispersions and measures.
 
     Parameters

@@ -62,8 +62,8 @@ class InnovationTest(StrictAttributes):
         return self.band[0] <= self.average <= self.band[1]
 
 
-@dataclass(frozen=True)
-class Consistency(StrictAttributes, PrintableResult):
+@dataclass(frozen=True, repr=False)
+class Consistency(PrintableResult):
     """Consistency test of an estimator's errors and innovations.
 
     Attributes

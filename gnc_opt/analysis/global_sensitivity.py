@@ -39,7 +39,7 @@ _RESAMPLED = 1000
 
 
 @dataclass(frozen=True)
-class IntervalEstimate:
+class IntervalEstimate(PrintableResult):
     """Estimate with its confidence interval.
 
     Attributes
@@ -60,7 +60,7 @@ class IntervalEstimate:
         return f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SobolIndices(PrintableResult):
     """Sobol' indices of a measure; see `sobol_indices`.
 

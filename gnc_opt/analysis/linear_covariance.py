@@ -14,7 +14,7 @@ onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.analysis.covariance_by_error_source import DeviationSources, StateDeviations
 from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario
-from gnc_opt.argument_checks import StrictAttributes, read_integer, require_type, suggest_keywords
+from gnc_opt.argument_checks import read_integer, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout
@@ -62,7 +62,7 @@ _KINDS = {"command": "commands", "applied": "applied"}
 
 
 @dataclass(frozen=True, eq=False)
-class LinearCovariance(StrictAttributes, PrintableResult):
+class LinearCovariance(PrintableResult):
     """Covariances along a nominal run by source; see `linear_covariance`.
 
     A *signal* is the name of a state (its error), ``command(F)`` or ``applied(F)`` (mean over the step).
@@ -97,9 +97,9 @@ class LinearCovariance(StrictAttributes, PrintableResult):
     nominal: Array
     mean: Array
     parts: Mapping[str, Array]
-    layouts: Mapping[str, Layout] = field(repr=False)
-    compiled_loop: CompiledLoop = field(repr=False)
-    dispersions: Dispersions = field(repr=False)
+    layouts: Mapping[str, Layout]
+    compiled_loop: CompiledLoop
+    dispersions: Dispersions
 
     def __str__(self) -> str:
         return format_covariance_table(self)

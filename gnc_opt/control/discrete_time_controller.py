@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_display_name, read_positive_number
+from gnc_opt.argument_checks import StrictAttributes, read_display_name, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
@@ -36,7 +36,7 @@ _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class Controller(StrictAttributes):
     """A discrete-time control law ``(t, x, r, z) -> (u, z_next)``.
 
     A CasADi function without side effects of the time t, the measured state x, the row r of the schedule (reference,

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_float_array, require_type, suggest_keywords
+from gnc_opt.argument_checks import StrictAttributes, read_float_array, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
@@ -19,7 +19,7 @@ from gnc_opt.model.model_variables import Layout, read_state_vector
 
 
 @dataclass(frozen=True, eq=False)
-class Estimator:
+class Estimator(StrictAttributes):
     """Discrete-time filter: ``update(t, y, z) -> (x, z)``, then ``predict(t, u, z) -> z`` for the next control step.
 
     The memory z contains the prediction for time t; y are the samples, x the estimated states.

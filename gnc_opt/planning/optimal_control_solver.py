@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.argument_checks import read_positive_number, require_type, suggest_keywords
+from gnc_opt.argument_checks import StrictAttributes, read_positive_number, require_type, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
@@ -33,7 +33,7 @@ from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 
-class Resolver:
+class Resolver(StrictAttributes):
     """Solver of variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from a known solution.
 
     The methods are tried in this order:

@@ -46,10 +46,8 @@ from gnc_opt.report.mathml_formulas import typeset_names_in_html
 from gnc_opt.report.problem_statement_html import (
     build_phase_linkage_rows,
     format_docstring_as_html,
-    format_interval_limits,
     format_objective_section,
     format_problem_statement,
-    iterate_variables_with_rows,
 )
 from gnc_opt.report.switching_structure_margins import (
     StructureMargin,
@@ -60,7 +58,6 @@ from gnc_opt.text_html_and_json_formatting import (
     Html,
     format_html_table,
     format_unit_quotient,
-    pluralise_noun,
     simplify_time_integral_unit,
 )
 
@@ -115,7 +112,7 @@ def build_solution_page(
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
-        + _build_solution_summary_table(solution, limits, margins)
+        + _build_solution_summary_table(solution, limits)
         + embed_captioned_figures(first, "controls"),
         "Problem": "" if problem is None else text + statement,
         "Limits and margins": _build_constraint_margins_table(solution, limits, captions["limits"])
@@ -240,15 +237,13 @@ def _describe_condition_result(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _build_solution_summary_table(
-    solution: Solution, limits: Iterable[LimitMargin], margins: Iterable[StructureMargin]
-) -> str:
+def _build_solution_summary_table(solution: Solution, limits: Iterable[LimitMargin]) -> str:
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
         rows.append(("problem", Html(format_objective_section(solution.problem))))
     for name, phase in solution.phases.items():
         times = f"{phase.initial_time:.10g} to {phase.final_time:.10g} {time_unit(solution)}"
-        rows.append((f"phase {name}", f"{times}; {_describe_states_and_controls(phase)}"))
+        rows.append((f"phase {name}", times))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
@@ -256,18 +251,12 @@ def _build_solution_summary_table(
     ]
     pairs = [(a, b) for a, b in pairwise(solution.structure) if (a.phase, a.channel) == (b.phase, b.channel)]
     if switches := sum(a.kind.sign * b.kind.sign < 0 for a, b in pairs):
-        place = "".join(
-            f"; closest to a change of the arcs: {m.label} at {m.time:.5g} {time_unit(solution)}, where its switching "
-            f"function has an extremum of {100.0 / m.risk:.3g} % of its largest magnitude"
-            for m in margins
-            if m.kind == "smallest extremum"
-        )
-        rows.append(("switches", f"{switches} between control limits{place}"))
+        rows.append(("switches", f"{switches} between control limits"))
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
         rows.append(("integration of the applied controls", text))
     rows += _format_smallest_path_margin_row(limits, time_unit(solution))
-    rows += [*_format_vector_norm_rows(solution), *_format_propellant_and_effort_rows(solution)]
+    rows += _format_propellant_and_effort_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_html_table(("", ""), rows)
 
@@ -276,35 +265,6 @@ def _describe_largest_final_error(solution: Solution) -> str:
     """Return "; largest final error in phase leg, q (m)"; a state without unit is marked."""
     where = solution.accuracy.miss_where
     return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
-
-
-def _describe_states_and_controls(phase: PhaseSolution) -> str:
-    """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
-    controls = [
-        f"{name} ({format_interval_limits(phase.control_bounds, rows)} {unit}".rstrip() + ")"
-        for name, rows, unit in iterate_variables_with_rows(phase.controls)
-    ]
-    return f"{pluralise_noun(phase.states.size, 'state')}: {', '.join(phase.states.names)}; " + (
-        f"{pluralise_noun(phase.controls.size, 'control')}: {', '.join(controls)}"
-        if controls
-        else "no controls"
-    )
-
-
-def _format_vector_norm_rows(solution: Solution) -> Iterator[tuple[str, str]]:
-    """Yield the smallest and the largest length of each vector state with a unit, with their times."""
-    phases = list(solution.phases.values())
-    for v in {v.name: v for phase in phases for v in phase.states.variables}.values():
-        if v.unit and 1 < v.size <= _MAX_SPACE:
-            owners = [phase for phase in phases if v.name in phase.states]
-            samples = [sample_phase_signal(phase, phase.state(v.name)) for phase in owners]
-            times, values = (np.concatenate(parts, axis=-1) for parts in zip(*samples, strict=True))
-            lengths = np.linalg.norm(values, axis=0)
-            first, last = (
-                f"{lengths[k]:.5g} {v.unit} (at {times[k]:.5g} {time_unit(solution)})"
-                for k in (np.argmin(lengths), np.argmax(lengths))
-            )
-            yield f"magnitude of {v.name}", f"from {first} to {last}"
 
 
 def _format_propellant_and_effort_rows(solution: Solution) -> Iterator[tuple[str, str]]:

@@ -35,13 +35,8 @@ class StructureMargin(NamedTuple):
     risk: float
 
 
-def list_structure_margins(solution: Solution) -> list[StructureMargin]:
-    """Return the margin with the largest risk of each kind; values of S at the ends of a phase count as extrema."""
-    return select_largest_risks(iterate_control_structure_margins(solution))
-
-
 def select_largest_risks(margins: Iterable[StructureMargin]) -> list[StructureMargin]:
-    """Return the margin with the largest risk of each kind."""
+    """Return the margin with the largest risk of each kind; values of S at the ends of a phase count as extrema."""
     found: dict[str, StructureMargin] = {}
     for margin in margins:
         found[margin.kind] = max(found.get(margin.kind, margin), margin, key=lambda each: each.risk)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
@@ -31,8 +30,8 @@ from gnc_opt.simulation.simulation_run_results import Run
 from gnc_opt.text_html_and_json_formatting import PrintableResult, format_json
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign(StrictAttributes, PrintableResult):
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign(PrintableResult):
     """Results of many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
@@ -101,17 +100,17 @@ class Campaign(StrictAttributes, PrintableResult):
     limits: Mapping[str, float]
     measured: Mapping[str, Array]
     interrupted: bool
-    layouts: Mapping[str, Layout] = field(repr=False)
-    compiled_loop: CompiledLoop | None = field(default=None, repr=False)
-    fingerprint: str = field(default="", repr=False)
-    memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    event_times: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    replans: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
-    sums: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    samples: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)
-    sample_times: Array = field(default_factory=lambda: np.empty(0), repr=False)
-    scenario: tuple[tuple[str, str, str], ...] = field(default=(), repr=False)
+    layouts: Mapping[str, Layout]
+    compiled_loop: CompiledLoop | None = None
+    fingerprint: str = ""
+    memory: Array = field(default_factory=lambda: np.empty((0, 0)))
+    event_counts: Array = field(default_factory=lambda: np.empty((0, 0)))
+    event_times: Array = field(default_factory=lambda: np.empty((0, 0)))
+    replans: Array = field(default_factory=lambda: np.empty((2, 0)))
+    sums: Array = field(default_factory=lambda: np.empty((0, 0)))
+    samples: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    sample_times: Array = field(default_factory=lambda: np.empty(0))
+    scenario: tuple[tuple[str, str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -120,9 +119,6 @@ class Campaign(StrictAttributes, PrintableResult):
         from gnc_opt.simulation.campaign_tables import format_campaign_table
 
         return format_campaign_table(self)
-
-    def __repr__(self) -> str:
-        return f"<{str(self).splitlines()[0]}>"
 
     def state(self, name: str) -> Array:
         """Return a final state, (size, m)."""

@@ -33,6 +33,7 @@ from gnc_opt.simulation.simulation_run_outcome import OutcomeClassifier
 from gnc_opt.simulation.simulation_run_results import Run
 from gnc_opt.simulation.step_size_selection import StepSelection
 from gnc_opt.simulation.zero_crossing_events import Event
+from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 _MAX_STEPS = 2_000_000
 """Largest number of control steps of a run; with 50 numbers per step its log has 1 GB."""
@@ -41,8 +42,8 @@ _MAX_UNROLLED = 2000
 """Largest number of integration steps per control step; they are unrolled in the compiled function."""
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
+@dataclass(frozen=True, eq=False, repr=False)
+class ClosedLoop(PrintableResult):
     """Plant under a discrete-time controller, with actuators, sensors and disturbances.
 
     A control step (``dt``) has a measurement, a command (zero-order hold) and ``minor_steps`` minor steps.
@@ -153,6 +154,16 @@ class ClosedLoop:
                 self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits
             ),
         )
+
+    def __str__(self) -> str:
+        heading = f"closed loop of plant '{self.plant.name}' and controller '{self.controller.name}'"
+        lines = [f"{heading}, control step {self.dt:g} s"]
+        for kind in ("actuators", "sensors", "disturbances", "events", "quantities"):
+            blocks = ", ".join(f"{block.name} ({type(block).__name__})" for block in getattr(self, kind))
+            lines += [f"  {kind:13} {blocks}"] * bool(blocks)
+        if self.replanner is not None:
+            lines.append(f"  replanner     {type(self.replanner).__name__}")
+        return "\n".join(lines)
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.argument_checks import read_integer
+from gnc_opt.argument_checks import StrictAttributes, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout
@@ -34,7 +34,7 @@ MAX_STEPS_PER_CALL = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledLoop:
+class CompiledLoop(StrictAttributes):
     """Closed loop compiled for many runs; see `ClosedLoop.compile`.
 
     Attributes

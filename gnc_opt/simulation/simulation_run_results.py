@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, read_positive_number
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
@@ -70,8 +70,8 @@ class LoggedSignal:
         return np.stack(rows)
 
 
-@dataclass(frozen=True)
-class Run(StrictAttributes, PrintableResult):
+@dataclass(frozen=True, repr=False)
+class Run(PrintableResult):
     """Closed-loop run over N control steps.
 
     Attributes
@@ -131,7 +131,7 @@ class Run(StrictAttributes, PrintableResult):
     integration_error: float
     outcome: Outcome
     seed: str
-    layouts: Mapping[str, Layout] = field(repr=False)
+    layouts: Mapping[str, Layout]
     events: tuple[EventOccurrence, ...] = ()
     replans: tuple[Replan, ...] = ()
 
@@ -154,9 +154,6 @@ class Run(StrictAttributes, PrintableResult):
             -1, "  saturated     " + _format_variable_norms(self.layouts["command"], self.saturation, None)
         )
         return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        return f"<{str(self).splitlines()[0]}>"
 
     @property
     def reference_layout(self) -> Layout:

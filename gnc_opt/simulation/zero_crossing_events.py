@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import read_display_name, require_distinct_names, require_type
+from gnc_opt.argument_checks import StrictAttributes, read_display_name, require_distinct_names, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable, convert_to_sx_column, find_unknown_symbols
@@ -108,7 +108,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class EventOccurrence:
+class EventOccurrence(StrictAttributes):
     """Event that occurred in a run.
 
     Attributes

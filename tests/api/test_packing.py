@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from testing.bitwise_equality import assert_same
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
@@ -82,29 +83,6 @@ TREES = st.builds(
     names=st.dictionaries(TEXTS, VALUES, max_size=4),
     secret=st.just("not written"),
 )
-
-
-def assert_same(a: Any, b: Any, place: str = "") -> None:
-    """Equal to the last bit, types included."""
-    assert type(a) is type(b), place
-    if isinstance(a, np.ndarray):
-        assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), place
-    elif is_dataclass(a):
-        for f in fields(a):
-            if f.name != "secret":
-                assert_same(getattr(a, f.name), getattr(b, f.name), f"{place}.{f.name}")
-    elif isinstance(a, dict):
-        assert list(a) == list(b), place
-        for key in a:
-            assert_same(a[key], b[key], f"{place}[{key!r}]")
-    elif isinstance(a, tuple):
-        assert len(a) == len(b), place
-        for i, pair in enumerate(zip(a, b, strict=True)):
-            assert_same(*pair, f"{place}[{i}]")
-    elif isinstance(a, float):
-        assert (math.isnan(a) and math.isnan(b)) or np.float64(a).tobytes() == np.float64(b).tobytes(), place
-    else:
-        assert a == b, place
 
 
 @settings(max_examples=60)

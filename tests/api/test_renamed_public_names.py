@@ -9,6 +9,7 @@ import pytest
 
 import gnc_opt
 from gnc_opt.renamed_public_names import (
+    GUESSED_MEMBERS,
     REMOVED,
     RENAMED,
     RENAMED_MEMBERS,
@@ -62,6 +63,17 @@ def test_a_former_member_reports_the_present_one(former: str) -> None:
     assert hasattr(owners[kind], RENAMED_MEMBERS[former])
     with pytest.raises(AttributeError, match=f"has no '{name}': it is now '{RENAMED_MEMBERS[former]}'"):
         getattr(owners[kind], name)
+
+
+@pytest.mark.parametrize("guessed", GUESSED_MEMBERS)
+def test_a_guessed_member_reports_the_right_one(guessed: str) -> None:
+    kind, name = guessed.split(".")
+    thing = object.__new__(getattr(gnc_opt, kind))
+    with pytest.raises(AttributeError, match=re.escape(f"has no '{name}': use {GUESSED_MEMBERS[guessed]}.")):
+        getattr(thing, name)
+    present = GUESSED_MEMBERS[guessed].partition("(")[0]
+    members = set(dir(thing)) | set(getattr(thing, "__annotations__", ()))
+    assert present.partition(".")[0] in members or operator.attrgetter(present.partition(".")[2])(gnc_opt)
 
 
 @pytest.mark.parametrize(

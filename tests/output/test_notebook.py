@@ -12,6 +12,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.progress_display import show_campaign_progress
+from gnc_opt.simulation import Noise, Saturation
 
 HOSTILE = "<script>alert('a')</script> & <b>"
 TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}
@@ -72,12 +73,19 @@ def test_run_and_campaign() -> None:
     model = go.Model("glider")
     q, u = model.state("q", unit=HOSTILE), model.control("u")
     model.ode({q: u})
-    loop = go.ClosedLoop(model, go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), dt=0.1)
+    parts = {"actuators": [Saturation("thruster", -1.0, 1.0)], "sensors": [Noise(HOSTILE, 0.1, on="q")]}
+    loop = go.ClosedLoop(model, go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), dt=0.1, **parts)
     campaign = go.monte_carlo(loop, n=3, seed=1, x0={"q": 1.0}, tf=0.5, dispersions={}, executor="serial")
-    for shown in (campaign, campaign.rerun(0)):
+    for shown in (campaign, campaign.rerun(0), loop):
         assert "".join(parsed(shown).itertext()) == str(shown)
         assert HOSTILE in str(shown)
     assert repr(campaign).startswith("<campaign of 3 runs, seed 1") and "\n" not in repr(campaign)
+    lines = [
+        "closed loop of plant 'glider' and controller 'LQR', control step 0.1 s",
+        "  actuators     thruster (Saturation)",
+        f"  sensors       {HOSTILE} (Noise)",
+    ]
+    assert str(loop).splitlines() == lines and repr(loop) == f"<{lines[0]}>"
     assert repr(campaign.rerun(0)) == "<run of 0.5 s in 5 control steps: ok>"
 
 

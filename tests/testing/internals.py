@@ -134,7 +134,11 @@ from gnc_opt.report.mathml_formulas import (
     typeset_variable_name,
 )
 from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
-from gnc_opt.report.switching_structure_margins import list_margins_of_control_arcs, list_structure_margins
+from gnc_opt.report.switching_structure_margins import (
+    iterate_control_structure_margins,
+    list_margins_of_control_arcs,
+    select_largest_risks,
+)
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_block_chain
 from gnc_opt.simulation.campaign_performance_measures import compute_percentile_envelope
 from gnc_opt.simulation.confidence_intervals import (

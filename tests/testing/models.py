@@ -25,3 +25,12 @@ def one_phase(
     phase = problem.phase(name, model)
     phase.time(*time, **more)
     return problem, phase
+
+
+def cart_with_units() -> go.Model:
+    """Return a double integrator in m and s."""
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model

@@ -5,20 +5,13 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Reference, design_mpc
+from testing.models import cart_with_units as cart
 from testing.models import dynamics
 
 DT = 0.1
 
 
 A, B = np.array([[1, DT], [0, 1]]), np.array([DT**2 / 2, DT])
-
-
-def cart() -> go.Model:
-    model = go.Model("cart")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 def pendulum() -> tuple[go.Model, Reference]:

@@ -15,7 +15,7 @@ from gnc_opt.text_html_and_json_formatting import PrintableResult, read_status_e
 
 
 @dataclass(frozen=True)
-class LowerBound:
+class LowerBound(PrintableResult):
     """Minimum of the problem itself or of a relaxation, as a lower bound of its cost.
 
     Attributes
@@ -73,7 +73,7 @@ class ConditionResult(Enum):
 
 
 @dataclass(frozen=True)
-class Condition:
+class Condition(PrintableResult):
     """Optimality condition and its residual.
 
     Attributes

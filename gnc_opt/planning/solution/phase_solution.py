@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_float_array, read_integer
+from gnc_opt.argument_checks import StrictAttributes, read_float_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
@@ -66,7 +66,7 @@ class Signal:
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseSolution:
+class PhaseSolution(StrictAttributes):
     """States, controls, costates and multipliers of one phase.
 
     Multipliers have the sign of L = J + multiplier * (constraint): >= 0 at an upper, <= 0 at a lower limit. Path and

@@ -118,7 +118,7 @@ COARSE_MAX_ITERATIONS = 200
 """Iteration limit of a coarse solve."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Multistart(PrintableResult):
     """Result of `multistart`.
 
@@ -163,11 +163,6 @@ class Multistart(PrintableResult):
                 "solve() it once and look at the violations, or try more starts."
             )
         return self.minima[0]
-
-    def __repr__(self) -> str:
-        best = f", best={self.minima[0].objective:.10g}" if self.minima else ""
-        count = f"{len(self.minima)} minima, {self.finished} of {self.starts} starts"
-        return f"Multistart({self.problem_name!r}, {count}{best})"
 
     def __str__(self) -> str:
         heading = (

@@ -48,7 +48,7 @@ class ContinuationStatus(StatusWord):
     INTERRUPTED = "interrupted"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Continuation(PrintableResult):
     """Family of solutions along a parameter.
 
@@ -95,10 +95,6 @@ class Continuation(PrintableResult):
         if not near.size:
             raise ArgumentError(f"the continuation has no solution at {value}: its values are {self.values}.")
         return self.solutions[int(near[0])]
-
-    def __repr__(self) -> str:
-        span, name = f"{self.values[0]:g} to {self.values[-1]:g}", self.final_solution.problem_name
-        return f"Continuation({name!r}, {self.status.value}, {self.values.size} solutions, {span})"
 
     def __str__(self) -> str:
         lines = [

@@ -41,7 +41,7 @@ MISTAKES = (NameError, AttributeError, TypeError, ImportError)
 """Exceptions of a function that fails at every point; they end a sweep."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sweep(PrintableResult):
     """Solutions on a parameter grid.
 
@@ -112,10 +112,6 @@ class Sweep(PrintableResult):
         data = {name: (tuple(self.grid), self.array(name)) for name in names}
         data["ending"] = (tuple(self.grid), self.endings.astype(str))
         return xarray.Dataset(data, coords=dict(self.grid))
-
-    def __repr__(self) -> str:
-        sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
-        return f"Sweep({sizes}, {int(np.sum(self.is_solved))} of {self.solutions.size} solved)"
 
     def __str__(self) -> str:
         total, good = self.solutions.size, int(np.sum(self.is_solved))
@@ -297,11 +293,11 @@ class _GridLineTask:
                     raise KeyboardInterrupt
                 outputs = functions.outputs if solution.status.solved else {}
                 more = {name: float(output(solution)) for name, output in outputs.items()}
+            except MISTAKES:
+                raise
             except GncOptError as error:  # invalid grid point
                 yield _GridPoint(None, str(error), {})
                 continue
-            except MISTAKES:
-                raise
             except Exception as error:  # error of a user function, such as a division by zero
                 yield _GridPoint(None, f"{type(error).__name__}: {error}", {})
                 continue

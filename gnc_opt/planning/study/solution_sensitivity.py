@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name_error, warn_user
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
@@ -49,7 +50,7 @@ class SignalSensitivity:
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseSensitivity:
+class PhaseSensitivity(StrictAttributes):
     """Derivatives of the solution of one phase.
 
     Attributes
@@ -68,7 +69,7 @@ class PhaseSensitivity:
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
+class Sensitivity(StrictAttributes):
     """Derivatives of a solution in one quantity (per unit of it).
 
     For a quantity with several components, they are the first axis of every derivative.

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from testing.controller_steps import step_through
+from testing.models import cart_with_units as cart
 
 import gnc_opt as go
 from gnc_opt.control import (
@@ -27,14 +28,6 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation import Measurement, design_ekf, design_ukf, output_feedback
 from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.simulation import SensorOutage
-
-
-def cart() -> go.Model:
-    model = go.Model("cart")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 def slide(dt=0.01, limits=None, layer=0.1):

@@ -4,19 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from testing.models import cart_with_units as cart
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.control import Reference, trim
 from gnc_opt.errors import ArgumentError
-
-
-def cart() -> go.Model:
-    model = go.Model("cart")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 def fastest(bound: float = 1.0) -> go.Solution:

@@ -5,19 +5,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from testing.models import cart_with_units as cart
 from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import ErrorDynamics, Reference, design_tvlqr
 from gnc_opt.errors import ArgumentError, DesignError
-
-
-def cart() -> go.Model:
-    model = go.Model("cart")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 def pendulum() -> go.Model:

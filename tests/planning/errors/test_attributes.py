@@ -80,6 +80,17 @@ def test_subclasses_may_have_attributes_of_their_own() -> None:
 
 def test_misspelt_attribute_of_a_result_is_an_error() -> None:
     solution = go.solve(rest_to_rest()[0], mesh="2x3", tol=None)
+    for name, remedy in [
+        ("cost", "solution has no 'cost': use objective."),
+        ("states", "did you mean 'state'?"),
+        ("objectiv", "did you mean 'objective'?"),
+        ("pass_rate", "it belongs to a Campaign."),
+        ("whatever", "known: accuracy, bound,"),
+    ]:
+        with refused(go.UnknownAttributeError, remedy):
+            getattr(solution, name)
+    with refused(go.UnknownAttributeError, "phase solution 'leg' has no 'final_tim'", "'final_time'?"):
+        solution.phase().final_tim  # type: ignore[attr-defined]  # noqa: B018
     with pytest.raises(AttributeError):
         solution.objectve = 1.0  # type: ignore[attr-defined]
     with pytest.raises(AttributeError):

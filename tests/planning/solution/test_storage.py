@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.bitwise_equality import assert_same
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError, ProblemError
@@ -51,29 +52,6 @@ def solution() -> go.Solution:
 @pytest.fixture
 def file(solution: go.Solution, tmp_path: Path) -> Path:
     return solution.save(tmp_path / "swing.npz")
-
-
-def assert_same(a: Any, b: Any, place: str = "solution") -> None:
-    """Equal to the last bit, types included."""
-    assert type(a) is type(b) or (isinstance(a, float) and isinstance(b, float)), place
-    if isinstance(a, np.ndarray):
-        assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes(), place
-    elif dataclasses.is_dataclass(a):
-        for f in dataclasses.fields(a):
-            if f.name != "problem":
-                assert_same(getattr(a, f.name), getattr(b, f.name), f"{place}.{f.name}")
-    elif isinstance(a, dict):
-        assert list(a) == list(b), place
-        for key in a:
-            assert_same(a[key], b[key], f"{place}[{key!r}]")
-    elif isinstance(a, tuple):
-        assert len(a) == len(b), place
-        for i, pair in enumerate(zip(a, b, strict=True)):
-            assert_same(*pair, f"{place}[{i}]")
-    elif isinstance(a, float):
-        assert np.float64(a).tobytes() == np.float64(b).tobytes(), place
-    else:
-        assert a == b, place
 
 
 def rewrite(file: Path, change: Any) -> None:

@@ -105,7 +105,7 @@ def test_functions_that_are_wrong_everywhere_end_the_sweep(mistake: Any, kind: t
 
 def test_one_line_says_what_a_sweep_is() -> None:
     found = go.sweep(stiff, {"k": [1.0, 2.0]}, mesh="2x3", executor="serial")
-    assert repr(found) == "Sweep(2 k, 2 of 2 solved)"
+    assert repr(found) == "<sweep over 2 k: 2 of 2 solved>"
 
 
 @pytest.mark.slow
