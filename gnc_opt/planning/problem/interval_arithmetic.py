@@ -104,6 +104,15 @@ def _bound_power(a: Range, b: Range) -> Range:
     return float(np.min(ends)), float(np.max(ends))
 
 
+def _bound_sine(a: Range) -> Range:
+    turn = 2.0 * math.pi
+    if not a[1] - a[0] < turn:
+        return -1.0, 1.0
+    low, high = sorted(map(math.sin, a))
+    peak, trough = (t + turn * math.ceil((a[0] - t) / turn) for t in (0.25 * turn, -0.25 * turn))
+    return -1.0 if trough <= a[1] else low, 1.0 if peak <= a[1] else high
+
+
 _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_ADD: _add_intervals,
@@ -121,8 +130,8 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_CONSTPOW: _bound_power,
     ca.OP_FMIN: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     ca.OP_FMAX: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
-    ca.OP_SIN: lambda _: (-1.0, 1.0),
-    ca.OP_COS: lambda _: (-1.0, 1.0),
+    ca.OP_SIN: _bound_sine,
+    ca.OP_COS: lambda a: _bound_sine((a[0] + 0.5 * math.pi, a[1] + 0.5 * math.pi)),
     ca.OP_TANH: lambda a: (math.tanh(a[0]), math.tanh(a[1])),
 }
 """Range functions of the CasADi operations."""

@@ -31,23 +31,24 @@ LOOSE = 0.1
 
 def relax_state_bounds(phase: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
-    bounds, initial = phase.numbers.states, phase.numbers.initial
-    reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
+    bounds, ends = phase.numbers.states, (phase.numbers.initial, phase.numbers.final)
+    reach = np.abs([limit for box in (bounds, *ends) for limit in (box.lower, box.upper)])
     room = LOOSE * np.max(set_nonfinite_to_zero(reach), axis=0)
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
-def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
+def find_monotone_states(problem: ProblemData, phase: Phase, *, undriven: bool = False) -> tuple[Mask, Mask]:
     """Return which bounded states never decrease and which never increase, for all controls and states within bounds.
 
-    States that no control drives count only if they are constant.
-    Bounds of monotone states are relaxed to `relax_state_bounds`; those of the other states hold.
+    States that no control drives count if ``undriven``, or if they are constant. Their bounds keep the first iterates
+    of a solve near the guess; with prescribed arcs, they would leave multipliers undetermined. Bounds of monotone
+    states are relaxed to `relax_state_bounds`; those of the other states hold.
     """
     numbers = phase.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     if not np.any(bounded):
         return bounded, bounded
-    derivative, driven = phase.model.state_derivative(), np.zeros_like(bounded)
+    derivative, driven = phase.model.state_derivative(), np.full_like(bounded, undriven)
     driven[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
     rates = problem.memoize(
         ("rates", phase.name), lambda: build_function_along_phase(problem, phase, "rates", derivative)
@@ -55,10 +56,9 @@ def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask
     values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
     loose, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
-    asked = tuple(
-        end.tobytes() for box in (time, numbers.states, loose, *others) for end in (box.lower, box.upper)
-    )
-    place = ("one way", phase.name)
+    boxes = (time, numbers.states, loose, *others)
+    asked = tuple(end.tobytes() for box in boxes for end in (box.lower, box.upper))
+    place = ("one way", phase.name, undriven)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
         relaxed, rising, falling = np.zeros_like(bounded), bounded.copy(), bounded.copy()

@@ -112,7 +112,7 @@ def relax_bounds_of_monotone_states(
     box: Interval, problem: Problem, phase: Phase, collocation: PhaseCollocation
 ) -> None:
     """Relax the bounds of monotone states except at the one end where they are not redundant."""
-    rising, falling = find_monotone_states(problem, phase)
+    rising, falling = find_monotone_states(problem, phase, undriven=phase.numbers.arcs is not None)
     loose = relax_state_bounds(phase)
     after, before = slice(1, None), slice(None, -1)
     for limits, wider, at_start, at_end in (

@@ -242,3 +242,19 @@ def test_speed_limit_on_a_fixed_mesh(degree: int, scheme: str) -> None:
     on = (leg.point_times > 0.5 + 1e-6) & (leg.point_times < 2 - 1e-6)
     np.testing.assert_allclose(leg.state_multipliers[1][on], -lam_x, atol=1e-7)
     assert leg.state_impulses[1, 2] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_limit_that_another_one_implies_leaves_the_arcs_unique() -> None:
+    """At rest until 2/5, then u = c (t - 2/5): v >= 0 keeps x >= 0, whose multiplier would not be unique.
+
+    With a duration T of the motion, x(1) = c T^3 / 6 = 1/5 and v(1) = c T^2 / 2 = 1; the cost is 2 v^3 / (9 x).
+    """
+    problem, leg = one_phase("start from rest", cart(), initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=0.2, v=1.0)
+    leg.bounds(x=(0.0, None), v=(0.0, None))
+    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2))
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(10 / 9, rel=1e-12) and solution.verdict.minimum
+    assert [arc.channel for arc in solution.structure] == ["u", "u", "v"]
+    assert solution.structure[-1].end == pytest.approx(0.4, abs=1e-8)

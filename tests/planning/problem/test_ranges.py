@@ -59,6 +59,9 @@ def test_values_lie_in_their_range(name, a, b, shares) -> None:
         (ca.sqrt(X[0] ** 2 + X[1]), 1.0, np.sqrt(3.0)),
         (1 / X[0], -np.inf, np.inf),
         (ca.fabs(X[0]) * X[1], 0.0, 2.0),
+        (X[1] * ca.sin(X[0]), -2.0 * np.sin(1.0), 2.0 * np.sin(0.5)),
+        (ca.cos(X[0]), np.cos(1.0), 1.0),
+        (ca.sin(4.0 * X[1]), -1.0, 1.0),  # over 4 rad
     ],
 )
 def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lower, upper) -> None:
@@ -134,6 +137,8 @@ def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
     rising, falling = find_monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
+    rising, falling = find_monotone_states(problem, leg, undriven=True)
+    assert [names[i] for i in np.flatnonzero(falling)] == ["dose", "speed"] and not rising[4]
 
 
 def test_a_budget_is_found_again_for_other_numbers() -> None:

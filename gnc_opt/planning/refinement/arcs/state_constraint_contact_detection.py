@@ -28,6 +28,7 @@ from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, NOTABLE, SMA
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.redundant_bounds import find_monotone_states
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import Correction, PhaseStructure
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
@@ -157,8 +158,11 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
         return contacts
     offsets, points = s.phase.mesh.point_offsets, s.phase.point_times
     times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
+    implied = _find_implied_limits(constraints)
     for row in rows:
         for kind, limit in constraints.list_finite_limits(int(row)):
+            if (row, kind) in implied:
+                continue
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
             scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
             threshold = max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)
@@ -173,6 +177,14 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             runs = [(a, b) for a, b in find_true_value_intervals(near) if np.any(scaled_multipliers[a:b] > 0)]
             contacts += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return contacts
+
+
+def _find_implied_limits(constraints: StateConstraints) -> set[tuple[int, ArcKind]]:
+    """Return the rows and limits of monotone states, which their values at the ends of the phase imply."""
+    problem, phase = constraints.problem, constraints.samples.phase
+    monotone = find_monotone_states(problem, problem.phases[phase.name], undriven=True)
+    both = zip((ArcKind.LOWER, ArcKind.UPPER), monotone, strict=True)
+    return {(len(phase.path_labels) + int(i), kind) for kind, own in both for i in np.flatnonzero(own)}
 
 
 def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
