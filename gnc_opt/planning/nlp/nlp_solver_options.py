@@ -57,7 +57,8 @@ class SolverOptions:
     linear_solver
         Linear solver of IPOPT. All except "mumps" and "spral" must be installed by the user.
     tolerance
-        Tolerance of the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods).
+        Tolerance of the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods). Errors
+        of costates and switching times may be many times as large.
     max_iterations
         Limit on the number of iterations.
     max_wall_time
@@ -82,14 +83,14 @@ class SolverOptions:
 
     Examples
     --------
-    >>> careful = go.SolverOptions(tolerance=1e-11, max_iterations=200)
+    >>> careful = go.SolverOptions(tolerance=1e-12, max_iterations=200)
     >>> print(go.solve(problem, mesh="10x3", tol=None, options=careful).status.value)
     optimal
     """
 
     solver: str = "ipopt"
     linear_solver: str = "mumps"
-    tolerance: float = 1e-9
+    tolerance: float = 1e-11
     max_iterations: int = 1000
     max_wall_time: float | None = None
     bound_relax: float = 0.0

@@ -24,10 +24,7 @@ from gnc_opt.planning.refinement.arcs.structure_detection import (
     detect_arc_structures,
     detect_control_structure,
 )
-from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
-    ARC_SOLVE_TOLERANCE,
-    optimise_switching_times,
-)
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_best_solution
 from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
@@ -47,8 +44,8 @@ from gnc_opt.planning.verification.solution_data_check import recompute_stored_d
 WARM_START_MAX_SOLVES = 6
 """Largest number of solves; more indicate that the known solution is not close."""
 
-KNOWN_ARCS_OPTIONS = SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=30)
-"""Initial barrier parameter with known arcs: a nearby solution takes fewer iterations."""
+KNOWN_ARCS_OPTIONS = SolverOptions(max_iterations=30)
+"""Options with known arcs: a nearby solution takes fewer iterations."""
 
 WARM_START_MIN_WORK = 1.0
 """Least work limit of a warm start, s of the reference processor; otherwise the work of the known solution."""

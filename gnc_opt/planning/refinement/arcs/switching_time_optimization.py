@@ -43,10 +43,6 @@ from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solut
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification.optimality_check import verify
 
-ARC_SOLVE_TOLERANCE = 1e-11
-"""Tolerance of the solver: errors of the switching times are of its order."""
-
-
 NEARBY_MAX_ERROR = 0.1
 """Largest local error of a first pass with the arcs of a nearby solution (of 30 successful warm starts, all began below
 2e-3)."""
@@ -79,7 +75,7 @@ def optimise_switching_times(
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
-    settings = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
+    settings = options or SolverOptions(max_iterations=WARM_MAX_ITERATIONS)
     arc_meshes = {}
     for name, structure in (structures or detect_arc_structures(solution)).items():
         refined = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
