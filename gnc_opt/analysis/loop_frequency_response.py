@@ -169,7 +169,7 @@ class LoopResponse(StrictAttributes):
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
         return np.asarray(
-            c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
+            c @ _solve_linear_systems(z * np.eye(len(a)) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
     def _check_time_index(self, index: int) -> int:

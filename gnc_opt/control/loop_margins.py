@@ -140,7 +140,7 @@ def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: floa
 
 def _evaluate_loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
-    one, right = np.eye(a.shape[0]), b[None].astype(complex)
+    one, right = np.eye(len(a)), b[None].astype(complex)
     points = np.array([_get_laplace_or_z_variable(w, dt) for w in omega])[:, None, None]
     some = max(1, _ENTRIES // max(a.size, 1))
     blocks = [points[k : k + some] for k in range(0, points.size, some)]
@@ -180,7 +180,7 @@ def _evaluate_loop_gain_with_rounding_error(
     a: Array, b: Array, gain: Array, s: complex
 ) -> tuple[complex, float]:
     """Return L at s (or z), and its first-order change by rounding of A and of s."""
-    one = np.eye(a.shape[0])
+    one = np.eye(len(a))
     try:
         right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
     except np.linalg.LinAlgError:

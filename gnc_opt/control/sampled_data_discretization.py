@@ -121,7 +121,7 @@ def discretize_time_varying_plant(
     middles = np.repeat(edges[:-1], _SUBSTEPS) + steps * np.tile(np.arange(_SUBSTEPS) + 0.5, edges.size - 1)
     a, b = linearize((middles[:, None] + steps[:, None] * np.sqrt(3) / 6 * [-1.0, 1.0]).ravel())
     weight = _stack_cost_matrix(q, r, n)
-    phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
+    phi, cost = np.eye(len(weight)), np.zeros_like(weight)
     for k, h in enumerate(steps):
         first, second = (_build_van_loan_matrix(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second

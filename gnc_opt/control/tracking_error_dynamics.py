@@ -82,7 +82,7 @@ class ErrorDynamics:
         """Return an output as an SX expression of t and x; raise `DesignError` if it depends on a control."""
         time, xs, us, p = self.model.symbolic_arguments()
         y = self.model.output_expression(name)
-        if any(ca.which_depends(y, us, 1, True)):
+        if any(ca.which_depends(y, us)):
             raise DesignError(
                 f"output '{name}' of model '{self.model.name}' depends on a control: name one of states alone."
             )

@@ -233,7 +233,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
         space = _build_state_error_coordinates(model, variable)
     elif name in model.outputs:
         variable = model.outputs[name]
-        if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
+        if any(ca.which_depends(model.output_expression(name), model.symbols("control"))):
             raise DesignError(
                 f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
                 "name one of states alone."

@@ -33,7 +33,7 @@ def check_measured_signals(plant: Model, controller: Controller) -> None:
     for variable in controller.states.variables:
         _check_plant_provides_signal(variable, plant, controller, "measures")
         if variable.name in plant.outputs and any(
-            ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
+            ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"))
         ):
             raise ArgumentError(
                 f"controller '{controller.name}' measures the output '{variable.name}' of '{plant.name}', which "

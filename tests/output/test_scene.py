@@ -99,6 +99,7 @@ def test_page_carries_the_motion(solution):
     assert np.allclose(np.transpose(motion["force"]), np.array([2.0, -1.0, 0.0]) / np.sqrt(5), atol=1e-4)
     assert data["unit"] == "m" and data["down"]
     rock = np.array(data["volumes"]["rock"])
+    assert rock.shape == (3, 13, 25) and np.allclose([rock[2, 0], rock[2, -1]], [[-0.3], [0.3]], atol=1e-2)
     assert np.allclose((((rock.T - [1, 2, 0]) / [0.5, 0.4, 0.3]) ** 2).sum(axis=-1), 1, atol=1e-2)
     assert np.all(np.array(data["low"]) < rock.min(axis=(1, 2))) and np.all(
         np.array(data["high"]) > rock.max(axis=(1, 2))

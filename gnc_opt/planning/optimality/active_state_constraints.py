@@ -127,7 +127,7 @@ class StateConstraints:
     def compute_costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
         """Return the costate jumps along the gradient of each row, in units of the cost (n_rows, n_times)."""
         s = self.samples
-        units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
+        units = np.repeat(np.eye(len(x))[:, :, None], times.size, axis=2)
         by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
         gradients = by_state * s.state_scale[:, None]
         jumps = (s.phase.lam(times, "left") - s.phase.lam(times, "right")) * s.state_scale[:, None]

@@ -228,7 +228,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
     """Return whether a column is affine in symbols; operations with jumps, whose derivatives are zero, are not."""
     if not column.numel():
         return True
-    if any(ca.which_depends(column, symbol, 2, True)):
+    if any(ca.which_depends(column, symbol, 2)):
         return False
     if not collect_casadi_operation_codes(column) & {*JUMPS}:
         return True

@@ -135,7 +135,7 @@ def _project_hamiltonian_derivatives_on_active_paths(
         return gradient, np.einsum("iij->ij", hessian)
     normals = s.functions.path_control_jacobian(s.times_inside_segments, s.x, s.u_polynomial)
     normals = np.moveaxis(set_nonfinite_to_zero(normals) * active[:, None], -1, 0)
-    tangents = np.eye(gradient.shape[0]) - np.linalg.pinv(normals) @ normals
+    tangents = np.eye(len(gradient)) - np.linalg.pinv(normals) @ normals
     slopes = np.einsum("tij,jt->it", tangents, gradient)
     return slopes, np.einsum("tij,jkt,tik->it", tangents, hessian, tangents)
 

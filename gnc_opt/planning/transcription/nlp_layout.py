@@ -175,7 +175,7 @@ class NlpLayout:
         found: Mask = np.zeros(self.n_variables, dtype=bool)
         for part in self.parts.values():
             found[part.collocation.point_states] = True
-            found[part.collocation.boundary_states[:, 1:-1]] = True
+            found[part.collocation.boundary_states] = True
             found[part.collocation.boundary_states[:, [0, -1]]] = False
         return found
 

@@ -55,7 +55,7 @@ def compute_touch_point_lagrangian(
     at_limit = np.any(rows.is_near_limits(values)[..., -1], axis=0)
     active = [int(i) for i in np.flatnonzero(at_limit) if rows.get_order_of_constraint_contact(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
-    gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
+    gradients = np.concatenate([by_path, np.eye(len(x))])[active]
     multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale, rcond=None)[0]
     lagrangian = (jump - multipliers @ gradients) @ change
     for i, eta in zip(active, multipliers, strict=True):

@@ -85,7 +85,7 @@ def _fill_directions_of_zero_vectors(size: Array, direction: Array) -> Array:
     """Return directions (n, n_times) of vectors of a size (n_times,); at size zero the previous (first: next) one."""
     valid = np.flatnonzero((size > AT_LIMIT * np.max(size)) & np.all(np.isfinite(direction), axis=0))
     if not valid.size:
-        return np.repeat(np.eye(direction.shape[0])[:, :1], direction.shape[1], axis=1)
+        return np.repeat(np.eye(len(direction))[:, :1], direction.shape[1], axis=1)
     last_valid = np.searchsorted(valid, np.arange(direction.shape[1]), side="right") - 1
     return np.asarray(direction[:, valid[np.maximum(last_valid, 0)]])
 

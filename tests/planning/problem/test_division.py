@@ -51,10 +51,12 @@ def test_fractions_of_a_free_duration() -> None:
 
 def test_limits_of_the_duration_are_of_all_parts() -> None:
     problem, leg, a = ride((0.5, 5.0))
-    leg.time(0.0, (0.5, 5.0), duration=(0.0, 2.0))
+    leg.time(1.0, (1.5, 6.0), duration=(0.0, 2.0))
     parts = problem.divide(leg, fractions=[0.25])
     problem.minimize(sum(part.integral(a**2) for part in parts))
-    assert go.solve(problem, check=False).objective == pytest.approx(12.0 / 8.0, rel=1e-8)
+    found = go.solve(problem, check=False)
+    assert found.objective == pytest.approx(12.0 / 8.0, rel=1e-8)
+    assert found.phase("leg").final_time == pytest.approx(1.5, rel=1e-8)
 
 
 def test_wrong_uses_are_named() -> None:

@@ -59,8 +59,8 @@ def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the
 def test_boundaries_a_rounding_apart_are_one() -> None:
     """An arc, or a touch, at a known time up to rounding has no piece of its own next to it."""
     near = np.nextafter(13.5, 0.0)
-    structure = replace(made("i", "l"), times=(0.0, 13.5, 200.0))
-    assert structure.with_inserted_arc(0, near, 50.0, UP).times == (0.0, 13.5, 50.0, 200.0)
+    structure = replace(made("i", "l"), times=(-200.0, 13.5, 200.0))
+    assert structure.with_inserted_arc(0, near, 50.0, UP).times == (-200.0, 13.5, 50.0, 200.0)
     assert structure.with_inserted_arc(0, near, 50.0, UP).kinds == ((FREE,), (UP,), (LOW,))
-    touched = replace(made("ii", "li"), times=(0.0, 13.5, 200.0)).with_touch_point(1, near, UP)
-    assert touched.times == (0.0, 13.5, 200.0) and touched.touches == ((), ((1, UP),), ())
+    touched = replace(made("ii", "li"), times=(-200.0, 13.5, 200.0)).with_touch_point(1, near, UP)
+    assert touched.times == (-200.0, 13.5, 200.0) and touched.touches == ((), ((1, UP),), ())
