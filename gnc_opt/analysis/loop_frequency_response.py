@@ -159,7 +159,7 @@ class LoopResponse(StrictAttributes):
 
     @limit_to_one_thread()
     def _evaluate_closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
-        w = read_float_array(omega, "the frequencies").reshape(-1)
+        w = read_float_array(omega, "the frequencies").ravel()
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
@@ -242,7 +242,7 @@ def loop_response(
     compiled_loop = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
     times = read_float_array(
         [compiled_loop.times[0]] if at is None else at, "the times of loop_response()"
-    ).reshape(-1)
+    ).ravel()
     begin, end = compiled_loop.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
         raise ArgumentError(f"the run lasts from {begin:g} s to {end:g} s: give times of it, before its end.")

@@ -125,7 +125,7 @@ def read_weight_matrix(value: Weight, layout: Layout, what: str) -> Array:
 def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive semidefinite."""
     smallest = _find_smallest_relative_eigenvalue(weight, labels, what, strict=False)
-    if smallest < -ROUNDING * max(len(labels), 1):
+    if smallest < -ROUNDING * len(labels):
         raise DesignError(
             f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
             f"{smallest:.3g}; choose weights that penalise every error."
@@ -135,7 +135,7 @@ def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> N
 def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive definite."""
     smallest = _find_smallest_relative_eigenvalue(weight, labels, what, strict=True)
-    if smallest <= ROUNDING * max(len(labels), 1):
+    if smallest <= ROUNDING * len(labels):
         raise DesignError(
             f"{what} is not positive definite: with its diagonal scaled to one its smallest eigenvalue is "
             f"{smallest:.3g}; every combination of controls must cost something."

@@ -128,8 +128,8 @@ def evaluate_casadi_function(
         and (known := programme())
         and known.is_faster_than_casadi(times.size)
     ):
-        return known(times.size, times.reshape(1, -1), *columns)
-    found = evaluate_casadi_batch(function, times.size, times.reshape(1, -1), *columns)
+        return known(times.size, np.atleast_2d(times), *columns)
+    found = evaluate_casadi_batch(function, times.size, np.atleast_2d(times), *columns)
     return found if times.ndim else found[:, 0]
 
 
@@ -172,10 +172,10 @@ def evaluate_casadi_batch(function: Any, n: int, *arguments: Array) -> Array:
             here[:] = argument[:, :1].T if n else 0.0  # also if the last block is not full
             changing.append((here, np.ascontiguousarray(argument.T)))
         if here.size:
-            buffer.set_arg(i, here.reshape(-1).data)
+            buffer.set_arg(i, here.ravel().data)
         kept.append(here)
     results = np.empty((block, nonzeros))
-    buffer.set_res(0, results.reshape(-1).data)
+    buffer.set_res(0, results.ravel().data)
     found = np.empty((n, results.shape[1]))
     for first in range(0, n, block):
         places = slice(first, min(first + block, n))

@@ -140,7 +140,7 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
     ProblemError
         A subclass may be given: the value is not numeric or has another number of entries.
     """
-    array = read_float_array(value, what, error).reshape(-1)
+    array = read_float_array(value, what, error).ravel()
     if array.size == 1:
         return np.full(size, array[0])
     if array.size != size:

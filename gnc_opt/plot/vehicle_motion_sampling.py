@@ -74,7 +74,7 @@ class View:
             centre, radius = self.keep_out[name]
         except (TypeError, ValueError):
             raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
-        axes = read_float_array(radius, f"the radius of '{name}'").reshape(-1)
+        axes = read_float_array(radius, f"the radius of '{name}'").ravel()
         axes = (
             np.full(3, axes[0]) if axes.size == 1 else _read_position_vector(axes, f"the radius of '{name}'")
         )
@@ -239,7 +239,7 @@ def _compute_direction_cosine_matrix(attitude: Array, name: str) -> Array:
 
 
 def _read_position_vector(value: ArrayLike, what: str) -> Array:
-    numbers = read_float_array(value, what).reshape(-1)
+    numbers = read_float_array(value, what).ravel()
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote_value(value)}: give three finite numbers.")
     return numbers

@@ -124,7 +124,7 @@ def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
 
 
 def _sort_with_nan_last(values: ArrayLike) -> Array:
-    array = read_float_array(values, "the values of a percentile").reshape(-1)
+    array = read_float_array(values, "the values of a percentile").ravel()
     if not array.size:
         raise ArgumentError("there are no values to take a percentile of: give some.")
     return np.sort(np.where(np.isnan(array), np.inf, array))

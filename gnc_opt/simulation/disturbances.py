@@ -191,7 +191,7 @@ class ExpressionDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            name: (read_float_array(value, f"'{name}' of '{self.name}'").reshape(-1), "")
+            name: (read_float_array(value, f"'{name}' of '{self.name}'").ravel(), "")
             for name, value in self.constants.items()
         }
 

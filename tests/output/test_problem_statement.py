@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import casadi as ca
@@ -197,8 +198,11 @@ def test_figure_of_motion_holds_vehicle_and_other_bodies():
     assert path[:, 0] == pytest.approx([1.0, 0.0, 0.5]) and path[:, -1] == pytest.approx(
         [0.0, 0.0, 0.0], abs=1e-6
     )
-    low, high = axes.get_zlim()
-    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == r"$r_{\mathrm{1}}$"
+    assert axes.get_zlim() == pytest.approx((-0.04, 0.54), abs=1e-6)
+    assert axes.get_xlim() == pytest.approx((-0.04, 1.04), abs=1e-6)
+    assert axes.get_xlabel() == r"$r_{\mathrm{1}}$"
+    mirrored = plot_motion(solution, replace(view, down=True)).axes[0]
+    assert (mirrored.get_ylim(), mirrored.get_zlim()) == (axes.get_ylim()[::-1], axes.get_zlim()[::-1])
     with pytest.raises(go.ArgumentError, match="position of 'target'"):
         View("r", bodies={"target": (0.0, 1.0)})
 

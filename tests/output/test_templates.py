@@ -40,12 +40,6 @@ def test_a_template_solves_with_a_verdict_that_is_ok(kind: str) -> None:
     assert solution.objective == pytest.approx(OPTIMA[kind], rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"landing"}))  # whose switch no mesh can place
-def test_a_smooth_template_is_ok_on_its_own_mesh(kind: str) -> None:
-    solution = go.solve(template(kind).build(), mesh=template(kind).MESH, tol=None)
-    assert go.verify(solution).ok, str(go.verify(solution))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_new_writes_the_template_and_check_accepts_it(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

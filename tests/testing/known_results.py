@@ -14,6 +14,14 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from testing.internals import (
+    Scales,
+    build_next_mesh,
+    detect_arc_structures,
+    estimate_segment_errors,
+    find_active_constraint_multipliers,
+    find_kinks_in_segment,
+)
 
 FILE = Path(__file__).with_suffix(".json")
 
@@ -41,14 +49,55 @@ def figures_of_solution(solution: go.Solution) -> Figures:
         yield f"iteration {k}, {step.stage}, {step.actions}", degrees, 0.0
         yield f"times of iteration {k}", [t for times in step.times.values() for t in times], 1e-4
         yield f"error of iteration {k}", [step.error], 0.05 * solution.history.tolerance
+    yield from figures_of_analysis(solution)
+
+
+def figures_of_analysis(solution: go.Solution) -> Figures:
+    """Reference magnitudes, estimated errors, the next mesh of a refinement, and the structure that is detected."""
+    samples = solution.samples()
+    scales = Scales.from_solution(solution, [*samples.values()])
+    errors = estimate_segment_errors(solution)
+    figures = {"cost": [[scales.cost, scales.change_of_cost], scales.parameters]}
+    figures |= {f"ends, {share}": list(terms) for share, terms in scales.boundary.items()}
+    for name, s in samples.items():
+        own, error = scales.phases[name], errors[name]
+        figures[f"deviations, {name}"] = [
+            own.deviation.mean(axis=1),
+            own.deviation.max(axis=1),
+            own.control_cost,
+        ]
+        figures[f"reach, {name}"] = [
+            v for e in (own.start, own.along, own.end) for v in (e.radius, e.semi_axes)
+        ]
+        figures[f"states and controls, {name}"] = [
+            s.state_scale,
+            s.control_span,
+            s.control_scale,
+            s.path_scale,
+        ]
+        figures[f"cost and H, {name}"] = [[s.cost_scale, s.hamiltonian_scale, s.max_hamiltonian_change]]
+        figures[f"errors, {name}"] = [np.fmax(error.stacked_segment_errors, 1e-9).max(axis=1)]
+        active = find_active_constraint_multipliers(error)
+        kinks = [find_kinks_in_segment(error, k, active) for k in range(s.phase.mesh.segments)]
+        figures[f"kinks, {name}"] = [[kink.start, kink.end] for found in kinks for kink in found] or [[]]
+        mesh, actions = build_next_mesh(error, 1e-6)
+        figures[f"next mesh, {name}: {actions}"] = [mesh.degrees, mesh.breaks]
+    for name, structure in detect_arc_structures(solution).items():
+        kinds = "; ".join(" ".join(kind.value for kind in row) for row in structure.kinds)
+        figures[f"structure, {name}: {kinds}"] = [structure.times]
+    for what, parts in figures.items():
+        numbers = np.concatenate([np.ravel(part).astype(float) for part in parts])
+        finite = np.abs(numbers[np.isfinite(numbers)])
+        yield what, numbers.tolist(), 1e-5 * float(np.max(finite, initial=1e-9))
 
 
 def assert_known(*results: go.Solution | go.Verdict) -> None:
     """Compare results with those of the test that calls it, to 0.2 %."""
     name = os.environ["PYTEST_CURRENT_TEST"].partition("::")[2].rpartition(" ")[0]
     known = json.loads(FILE.read_text(encoding="utf-8"))
-    kinds = [figures_of_verdict if isinstance(r, go.Verdict) else figures_of_solution for r in results]
-    found = [figure for figures, r in zip(kinds, results, strict=True) for figure in figures(r)]
+    found = []
+    for r in results:
+        found += figures_of_verdict(r) if isinstance(r, go.Verdict) else figures_of_solution(r)
     if os.environ.get("KNOWN_RESULTS") == "write":
         known[name] = [[what, *(float(f"{number:.6g}") for number in numbers)] for what, numbers, _ in found]
         lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(known[key])}" for key in sorted(known))

@@ -359,7 +359,7 @@ class EndPoints:
         return 0.5 * max_norm(change)
 
     def compute_boundary_gramian(
-        self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
+        self, reach: Mapping[str, Reach], parameters: Array, share: float
     ) -> tuple[Array, Array, Array]:
         """Return the Gramian of constraints and end states over a share of the reach, second differences, and terms.
 

@@ -117,7 +117,7 @@ class Switches:
             row = np.zeros(self.times.size + 2)
             row[pieces.unknowns[[k, k + 1]]] = -1.0, 1.0
             rows.append(row)
-        return np.array(rows).reshape(-1, self.times.size + 2)
+        return np.reshape(rows, (len(rows), self.times.size + 2))
 
 
 def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:

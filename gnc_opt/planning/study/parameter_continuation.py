@@ -164,7 +164,7 @@ def continuation(
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
     complete 1.6667
     """
-    way = read_float_array(values, "the values of continuation()").reshape(-1)
+    way = read_float_array(values, "the values of continuation()").ravel()
     turns = np.diff(way)
     if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
         raise ArgumentError(

@@ -238,7 +238,7 @@ def _read_parameter_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array
     axes = {}
     for name, values in grid.items():
         read_variable_name(name, "parameter of sweep()")
-        axes[name] = read_float_array(values, f"the values of '{name}' in the grid of sweep()").reshape(-1)
+        axes[name] = read_float_array(values, f"the values of '{name}' in the grid of sweep()").ravel()
         if not axes[name].size or not np.all(np.isfinite(axes[name])):
             raise ArgumentError(
                 f"the values of '{name}' in the grid of sweep() are {axes[name]}: give finite numbers."

@@ -93,7 +93,7 @@ class Mesh:
         movable : bool
             Whether the solver may move the interior boundaries, e.g. to the switching times of a bang-bang control.
         """
-        t = read_float_array(times, "the times of a mesh", ProblemError).reshape(-1)
+        t = read_float_array(times, "the times of a mesh", ProblemError).ravel()
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
             raise ProblemError(
                 f"the times of a mesh are {quote_value(times)}: give two or more, finite and increasing."

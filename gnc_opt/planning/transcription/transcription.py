@@ -113,7 +113,7 @@ class Transcription(NlpLayout):
             [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
         )
         data = ca.vertcat(
-            ca.MX(ca.DM(collocation.normalised_times_in_arcs.reshape(1, -1))),
+            ca.MX(ca.DM(collocation.normalised_times_in_arcs[None])),
             *fixed_times,
             ca.repmat(self._nlp_parameter_symbols.models[phase.name], 1, n_points),
         )
@@ -198,7 +198,7 @@ class Transcription(NlpLayout):
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
         )
-        return PointTerm(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+        return PointTerm(function, variables[:, None].astype(np.int64), data, weights)
 
     def _transcribe_cost_and_boundary_constraints(self) -> PointTerm:
         """Return the block of the cost and the end rows, a function of end points, parameters and integrals."""
@@ -221,7 +221,7 @@ class Transcription(NlpLayout):
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
         )
         data = ca.vertcat(*self._nlp_parameter_symbols.models.values())
-        return PointTerm(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+        return PointTerm(function, variables[:, None].astype(np.int64), data, weights)
 
     def _build_boundary_constraint_function(self) -> PointFunction:
         """Return the function of the end block for a given number of movable breaks."""

@@ -474,7 +474,7 @@ def _read_free_parameters(problem: Problem, p: Values) -> Array:
                 f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
             )
         return _require_finite_sample(values, what)
-    values = read_float_array(p, what, ProblemError).reshape(-1)
+    values = read_float_array(p, what, ProblemError).ravel()
     if values.size != layout.size:
         raise ProblemError(
             f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."

@@ -392,7 +392,8 @@ def test_figures_show_runs_limits_and_units(serial):
     figure = plot_dispersion(serial, "q")
     left, right = figure.axes
     assert sum(line.get_xdata().size for line in left.get_lines()) == 40
-    assert left.patches[0].get_radius() == 0.03 and "(m)" in right.get_ylabel()
+    assert (left.patches[0].center, left.patches[0].get_radius()) == ((0, 0), 0.03)
+    assert left.get_xlim() == left.get_ylim() and "(m)" in right.get_ylabel()
     figure = plot_distributions(serial)
     assert len(figure.axes) == 3 and "(N s)" in figure.axes[2].get_xlabel()
     steps = figure.axes[0].get_lines()[0]

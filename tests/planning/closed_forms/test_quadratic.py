@@ -88,46 +88,6 @@ def test_periodic_regulator(mesh: go.Mesh, scheme: str) -> None:
     assert solution.multiplier("periodic") == pytest.approx(1 / 3, abs=1e-9)
 
 
-@on_linear_meshes
-def test_isoperimetric(mesh: go.Mesh, scheme: str) -> None:
-    """min 1/2 int u^2 with int x = 1, x(0) = x(1) = 0: J = 6 A^2, so the multiplier of (A - 1) is -12."""
-    problem, leg = integrator(0.0, 1.0)
-    leg.initial(x=0.0)
-    leg.final(x=0.0)
-    x, u = leg.model.symbol("x"), leg.model.symbol("u")
-    problem.minimize(leg.integral(u**2 / 2))
-    problem.constrain("area", leg.integral(x, name="area"), equals=1.0)
-    solution = solve(problem, mesh, scheme)
-    truth = Truth(
-        6.0,
-        states={"x": lambda t: 6 * t * (1 - t)},
-        controls={"u": lambda t: 6 - 12 * t},
-        costates={"x": lambda t: 12 * t - 6},
-        hamiltonian=constant(-18.0),
-    )
-    assert_matches(solution, truth, 1e-9)
-    assert solution.multiplier("area") == pytest.approx(-12.0, abs=1e-9)
-    assert solution.phase().integral("area") == pytest.approx(1.0, abs=1e-12)
-
-
-@on_smooth_meshes
-def test_free_initial_state(mesh: go.Mesh, scheme: str) -> None:
-    """A cost 2 (x(0) - 3)^2 on the free initial state: lam(0) = -4 (x(0) - 3)."""
-    T, weight, wish = 2.0, 4.0, 3.0
-    problem, leg = integrator(0.0, T)
-    x, u = leg.model.symbol("x"), leg.model.symbol("u")
-    problem.minimize(weight * (leg.initial_state("x") - wish) ** 2 / 2 + leg.integral((x**2 + u**2) / 2))
-    first = weight * wish / (weight + np.tanh(T))
-    truth = Truth(
-        weight * (first - wish) ** 2 / 2 + first**2 * np.tanh(T) / 2,
-        states={"x": lambda t: first * np.cosh(T - t) / np.cosh(T)},
-        controls={"u": lambda t: -first * np.sinh(T - t) / np.cosh(T)},
-        costates={"x": lambda t: first * np.sinh(T - t) / np.cosh(T)},
-        hamiltonian=constant(0.5 * (first / np.cosh(T)) ** 2),
-    )
-    assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
-
-
 @on_smooth_meshes
 def test_initial_state_in_a_range(mesh: go.Mesh, scheme: str) -> None:
     """x(0) in [1/2, 2]: it takes 1/2, and the range pushes with -lam(0) (a lower limit: negative)."""

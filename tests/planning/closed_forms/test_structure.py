@@ -129,26 +129,6 @@ def test_final_time_at_its_limit(mesh: go.Mesh, scheme: str) -> None:
     np.testing.assert_allclose(solution.phase().time_multipliers, [0.0, 1.125], atol=1e-8)
 
 
-@on_linear_meshes
-def test_explicit_time_and_free_final_time(mesh: go.Mesh, scheme: str) -> None:
-    """min int u^2 / 2 + t, x from 0 to 1: t_f^3 = 1/2, H(t_f) = 0, dH/dt = 1."""
-    problem, leg = one_phase("the later the dearer", integrator(), initial=0.0, final=(0.1, 5.0))
-    leg.initial(x=0.0)
-    leg.final(x=1.0)
-    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + leg.model.time))
-    T = 0.5 ** (1 / 3)
-    truth = Truth(
-        1 / (2 * T) + T**2 / 2,
-        states={"x": lambda t: t / T},
-        controls={"u": constant(1 / T)},
-        costates={"x": constant(-1 / T)},
-        hamiltonian=lambda t: t - T,
-    )
-    solution = solve(problem, mesh, scheme)
-    assert solution.phase().final_time == pytest.approx(T, abs=1e-9)
-    assert_matches(solution, truth, 1e-9)
-
-
 def test_maximisation(scheme: str) -> None:
     """Cake eating: max int exp(-t/20) log c, k' = k/10 - c, k from 1 to 0; costates are those of -J."""
     model, _k, c = dynamics("cake", "k", "c", lambda k, c: {k: 0.1 * k - c})

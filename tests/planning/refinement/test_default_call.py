@@ -119,6 +119,7 @@ def test_a_bound_reached_before_the_first_point_is_resolved() -> None:
     leg.bounds(a=(-limit, limit))
     problem.minimize(leg.integral(a**2))
     solution = go.solve(problem)
+    assert_known(solution, go.verify(solution))
     assert solution.converged and go.verify(solution).ok
     effort = 2.0 * limit**2 * start + 2.0 * slope**2 * (0.5 - start) ** 3 / 3.0
     assert solution.objective == pytest.approx(effort, rel=1e-8)

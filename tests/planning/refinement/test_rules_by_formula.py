@@ -11,7 +11,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.refinement import best_solution_selection, hp_refinement
-from gnc_opt.planning.refinement.arcs import arc_mesh
+from gnc_opt.planning.refinement.arcs import arc_mesh, structure_update
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.collocation_error_estimate import _interpolate_local_maxima
 from gnc_opt.planning.solution import solution_accuracy
@@ -168,3 +168,11 @@ def test_decay_rates_of_legendre_coefficients() -> None:
     assert rate(10.0 ** (-3.0 * np.arange(8))) == hp_refinement.DECAY_RATE_MAX
     assert rate([1.0], tau[:2]) == rate([np.nan]) == hp_refinement.DECAY_RATE_MIN
     assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)
+
+
+def test_the_largest_violation_extends_between_linearly_interpolated_zeros() -> None:
+    t = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 7.0])
+    find = structure_update.find_largest_violation_interval
+    assert find(t, np.array([-1.0, 3.0, 2.0, 1.0, -1.0, 2.5])) == (0.25, 4.5)
+    assert find(t, np.array([2.0, -1.0, 1.0, 1.0, 4.0, 4.5])) == (1.5, 7.0)
+    assert find(t, np.array([3.0, 2.0, 0.0, 1.0, 1.0, 2.5])) == (0.0, 2.0)

@@ -312,6 +312,7 @@ def test_a_coast_leaves_no_doubt_of_a_minimum() -> None:
     solution = go.solve(problem)
     assert solution.objective == pytest.approx(1.0, abs=1e-7)  # s (5/2 - s) = 1
     verdict = go.verify(solution)
+    assert_known(solution, verdict)
     assert verdict.minimum, verdict.explain()
 
 

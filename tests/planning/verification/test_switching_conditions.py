@@ -13,6 +13,7 @@ import pytest
 import scipy
 from testing import constructed_solutions as by_hand
 from testing.internals import PhaseSamples, check_strict_bang_bang_property, explain_why_not_bang_bang
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
@@ -683,6 +684,7 @@ def test_a_coupling_with_a_control_that_is_determined_curves_downwards(
 
 def test_a_coupled_arc_is_ok_within_the_tolerance_and_no_minimum() -> None:
     verdict = go.verify(go.solve(coupled(5e-4)))
+    assert_known(verdict)
     assert verdict.ok and not verdict.minimum
     assert verdict["second order"].result is go.ConditionResult.INCONCLUSIVE
 
@@ -701,6 +703,7 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
     solution = go.solve(problem)
     assert solution.objective == pytest.approx((1.0 - (1.0 - np.exp(-16.0)) / 16) / 16, rel=1e-8)
     verdict = go.verify(solution)
+    assert_known(solution, verdict)
     assert verdict.ok, verdict.explain()
 
 

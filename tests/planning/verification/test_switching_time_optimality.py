@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing import constructed_solutions
+from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import double_integrator
 
@@ -321,6 +322,7 @@ def test_a_switch_at_a_phase_boundary_is_no_unknown_of_the_second_order_conditio
     left = 2.0 - t["brake"]
     x = {"push": np.array([1 - t["push"] ** 2 / 2, -t["push"]]), "brake": np.array([left**2 / 2, -left])}
     verdict = go.verify_trajectory(problem, t, x, {"push": -np.ones(3), "brake": np.ones(3)})
+    assert_known(verdict)
     assert verdict.ok and verdict["switching times"].where == "1 switch between control limits"
 
 

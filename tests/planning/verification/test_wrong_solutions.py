@@ -232,11 +232,7 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     verdict = go.verify(wrong.wrong(correct, SMALL))
     found = {c.name for c in verdict.failed}
     assert wrong.condition in found
-    assert [c.name for c in verdict.conditions] == [c.name for c in before.conditions]
-    assert_known(before, verdict)
-    for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
-        assert c.result is not go.ConditionResult.PASS or c.value <= c.tolerance
-        assert c.result is not go.ConditionResult.FAIL or not c.value < c.tolerance
+    assert_known(correct, before, verdict)
 
 
 def test_errors_too_small_for_a_segment_add_up_in_the_cost() -> None:

@@ -30,7 +30,7 @@ class VectorizedGuess:
 
 def read_guess_times(time: ArrayLike, where: str) -> Array:
     """Return the times (n_times,) of array-valued guesses, in ascending order."""
-    times = read_float_array(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
+    times = read_float_array(time, f"the time of the guess in {where}", ProblemError).ravel()
     if times.size < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0):
         raise ProblemError(
             f"the times of the guess in {where} must be finite and increase: give two or more."

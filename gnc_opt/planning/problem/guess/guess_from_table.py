@@ -69,7 +69,7 @@ def guess_from_data(
         )
 
     def read_data_column(name: str) -> Array:
-        return read_float_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
+        return read_float_array(columns[name], f"column '{name}' of the guess", ProblemError).ravel()
 
     times, values = read_data_column(time), {}
     for variable in selected.guessable_names.values():
