@@ -60,21 +60,13 @@ def figures_of_analysis(solution: go.Solution) -> Figures:
     figures = {"cost": [[scales.cost, scales.change_of_cost], scales.parameters]}
     figures |= {f"ends, {share}": list(terms) for share, terms in scales.boundary.items()}
     for name, s in samples.items():
-        own, error = scales.phases[name], errors[name]
-        figures[f"deviations, {name}"] = [
-            own.deviation.mean(axis=1),
-            own.deviation.max(axis=1),
-            own.control_cost,
-        ]
+        own, error, widths = scales.phases[name], errors[name], scales.phases[name].deviation
+        figures[f"deviations, {name}"] = [widths.mean(axis=1), widths.max(axis=1), own.control_cost]
+        reach = (own.start, own.along, own.end)
         figures[f"reach, {name}"] = [
-            v for e in (own.start, own.along, own.end) for v in (e.radius, e.semi_axes)
+            v for ellipsoid in reach for v in (ellipsoid.radius, ellipsoid.semi_axes)
         ]
-        figures[f"states and controls, {name}"] = [
-            s.state_scale,
-            s.control_span,
-            s.control_scale,
-            s.path_scale,
-        ]
+        figures[f"variables, {name}"] = [s.state_scale, s.control_span, s.control_scale, s.path_scale]
         figures[f"cost and H, {name}"] = [[s.cost_scale, s.hamiltonian_scale, s.max_hamiltonian_change]]
         figures[f"errors, {name}"] = [np.fmax(error.stacked_segment_errors, 1e-9).max(axis=1)]
         active = find_active_constraint_multipliers(error)
@@ -99,7 +91,7 @@ def assert_known(*results: go.Solution | go.Verdict) -> None:
     for r in results:
         found += figures_of_verdict(r) if isinstance(r, go.Verdict) else figures_of_solution(r)
     if os.environ.get("KNOWN_RESULTS") == "write":
-        known[name] = [[what, *(float(f"{number:.6g}") for number in numbers)] for what, numbers, _ in found]
+        known[name] = [[what, *(float(f"{number:.5g}") for number in numbers)] for what, numbers, _ in found]
         lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(known[key])}" for key in sorted(known))
         FILE.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
     assert [what for what, *_ in found] == [what for what, *_ in known[name]]

@@ -67,18 +67,6 @@ def test_fixed_node_on_the_switch(degree: int, scheme: str) -> None:
     )  # the barrier keeps them that far off their bounds
 
 
-def test_fixed_node_on_the_switch_of_a_symmetric_problem(scheme: str) -> None:
-    """The solver centres multipliers that are not unique; by symmetry that is H = -1 in LG and LGL."""
-    problem, _ = cart_problem(1.0, -1.0, 1.0)
-    solution = solve(problem, go.Mesh.uniform(2, 12), scheme, tolerance=1e-12)
-    assert solution.objective == pytest.approx(2.0, abs=1e-8)
-    # LGR has a point on one side of the switch only: it is off by the distance to the next one.
-    tolerance = 1e-2 if scheme == "LGR" else 1e-7
-    ends = np.array([0.0, solution.phase().final_time])
-    np.testing.assert_allclose(solution.costate("v")(ends), [-1.0, 1.0], atol=tolerance)
-    np.testing.assert_allclose(solution.hamiltonian(ends), -1.0, atol=tolerance)
-
-
 @pytest.mark.parametrize("degree", [3, 7])
 @pytest.mark.parametrize(("lower", "target", "switch", "end"), [(-1, 1, 1, 2), (-2, 300, 20, 30)])
 def test_movable_node_on_the_switch(

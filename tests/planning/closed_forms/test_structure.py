@@ -220,28 +220,6 @@ def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
     assert solution.parameter("k") == pytest.approx(k_best, abs=1e-8)
 
 
-@on_smooth_meshes
-@pytest.mark.parametrize("power", [0.5, 2.0])
-def test_power_of_an_integral(power: float, mesh: go.Mesh, scheme: str) -> None:
-    """A cost I^p has the trajectory of I, and costates and H of I times dJ/dI = p I^(p - 1)."""
-    T = 2.0
-    problem, leg = one_phase("power of an integral", integrator(), initial=0.0, final=T)
-    leg.initial(x=1.0)
-    problem.minimize(running(leg, "regulator") ** power)
-    solution = solve(problem, mesh, scheme)
-    best = np.tanh(T) / 2
-    weight = power * best ** (power - 1)
-    truth = Truth(
-        best**power,
-        states={"x": lambda t: np.cosh(T - t) / np.cosh(T)},
-        controls={"u": lambda t: -np.sinh(T - t) / np.cosh(T)},
-        costates={"x": lambda t: weight * np.sinh(T - t) / np.cosh(T)},
-        hamiltonian=constant(weight * 0.5 / np.cosh(T) ** 2),
-    )
-    assert_matches(solution, truth, 1e-9)
-    np.testing.assert_allclose(solution.phase().integral_weights, weight, rtol=1e-9)
-
-
 @on_linear_meshes
 def test_nonlinear_constraint_on_an_integral(mesh: go.Mesh, scheme: str) -> None:
     """The isoperimetric problem with A^2 = 1 instead of A = 1: the multiplier -12 is divided by 2 A."""
