@@ -198,9 +198,8 @@ def test_figure_of_motion_holds_vehicle_and_other_bodies():
     assert path[:, 0] == pytest.approx([1.0, 0.0, 0.5]) and path[:, -1] == pytest.approx(
         [0.0, 0.0, 0.0], abs=1e-6
     )
-    assert axes.get_zlim() == pytest.approx((-0.04, 0.54), abs=1e-6)
-    assert axes.get_xlim() == pytest.approx((-0.04, 1.04), abs=1e-6)
-    assert axes.get_xlabel() == r"$r_{\mathrm{1}}$"
+    low, high = axes.get_zlim()
+    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == r"$r_{\mathrm{1}}$"
     mirrored = plot_motion(solution, replace(view, down=True)).axes[0]
     assert (mirrored.get_ylim(), mirrored.get_zlim()) == (axes.get_ylim()[::-1], axes.get_zlim()[::-1])
     with pytest.raises(go.ArgumentError, match="position of 'target'"):
