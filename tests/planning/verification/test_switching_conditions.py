@@ -703,7 +703,6 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
     solution = go.solve(problem)
     assert solution.objective == pytest.approx((1.0 - (1.0 - np.exp(-16.0)) / 16) / 16, rel=1e-8)
     verdict = go.verify(solution)
-    assert_known(solution, verdict)
     assert verdict.ok, verdict.explain()
 
 
