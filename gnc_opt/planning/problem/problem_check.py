@@ -199,7 +199,7 @@ def _check_boundary_constraints(problem: ProblemData) -> None:
 
 def _check_cost_varies(problem: ProblemData) -> None:
     """Raise an error for a cost of fixed quantities alone, for which all controls are optimal."""
-    if not any(phase.model.controls.size for phase in problem.phases.values()):
+    if all(np.all(phase.numbers.controls.is_fixed) for phase in problem.phases.values()):
         return  # a boundary value problem
     spans = [phase.numbers.duration for phase in problem.phases.values()]
     fixed = tuple(span.lower[0] if span.is_fixed[0] else None for span in spans)
