@@ -109,6 +109,9 @@ LONG_LINE = 98
 """Columns that fit beside the navigation at 1280 pixels."""
 
 _CODE = re.compile(r'(<div class="[^"]*highlight)([^"]*">.*?</div>)', re.DOTALL)
+_LINE_OF_CODE = re.compile(r'<span id="line-[\d-]+">')
+"""Start of a line of code; the numbers recur in the signatures of a page."""
+
 _UNDESCRIBED = re.compile(
     r'(<li class="doc-section-item field-body">(?:(?!</li>).)*?)(?:–\s*)?<div class="doc-md-description">\s*</div>\s*'
     r"</li>\s*",
@@ -136,7 +139,8 @@ _NUMBER_OR_OPTION = re.compile(r"(?<![\w.])\d[\d.]*e-\d+|(?<!\S)--?[A-Za-z][\w-]
 _CODE_OF_CELL = re.compile(r"<code>.*?</code>", re.DOTALL)
 
 _SIGNATURE = re.compile(
-    r'<div class="doc-signature highlight"><pre><span></span><code><span class="nf">[A-Z].*?</div>', re.S
+    r'<div class="doc-signature highlight"><pre><span></span><code><span class="line"><span class="nf">[A-Z].*?</div>',
+    re.S,
 )
 _MADE_DEFAULT = re.compile(
     r'(<span class="o">=</span> )<span class="p">\(</span><span class="k">lambda</span>.*\n'
@@ -276,7 +280,7 @@ def on_page_content(
         before = found.string[: found.start()].rpartition(_SECTION)[2]
         return f"{found[1]}</li>" if before.startswith("Parameters") else ""
 
-    content = _SIGNATURE.sub(shorten_signature, content)
+    content = _SIGNATURE.sub(shorten_signature, _LINE_OF_CODE.sub('<span class="line">', content))
     content = _PICTURE.sub(picture, _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content)))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
 
@@ -331,9 +335,10 @@ def _width_pt(picture: bytes) -> float:
 
 
 def _marked_if_long(found: re.Match[str]) -> str:
-    """Give a block of code with long lines a class of its own, which makes its letters smaller."""
+    """Give a block with long lines, or with a drawing, a class of its own, which makes its letters smaller."""
     lines = html.unescape(re.sub(r"<[^>]*>", "", found[2])).splitlines()
-    return f"{found[1]}{' long' if max(map(len, lines), default=0) > LONG_LINE else ''}{found[2]}"
+    kind = " drawing" if "──" in found[2] else " long" if max(map(len, lines), default=0) > LONG_LINE else ""
+    return f"{found[1]}{kind}{found[2]}"
 
 
 @event_priority(-50)  # after the search has written its index, before it is copied for pages opened as files

@@ -51,6 +51,7 @@ _POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
 _SPACED_NODES = 200.0
 """Sum of the diameters of the marks of nodes that leave the curve visible, points."""
 _SWITCHING: dict[str, Any] = {"color": COLORS[2]}
+_NEGATIVE: dict[str, Any] = {"color": COLORS[0], "alpha": 0.12, "linewidth": 0.0}
 _ARC_END: dict[str, Any] = {"color": "black", "linewidth": THIN, "linestyle": ":", "zorder": 1}
 
 
@@ -60,7 +61,7 @@ def plot_controls(
     """Return a figure of the controls, with the switching function beside each bounded component.
 
     Left: the applied signal with its bounds (dashed) and the values at the collocation points. Right: the switching
-    function dH/du; an optimal bounded control is at its upper bound where it is negative; dotted: ends of its arcs.
+    function dH/du; where it is negative (shaded), an optimal bounded control is at its upper bound; dotted: arc ends.
     Controls without bounds, and vectors composed of other controls, have one row for all components.
 
     Parameters
@@ -191,8 +192,10 @@ def _draw_switching_function(
     reach = phase.control_bounds.upper[row] - phase.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):
         reach = float(np.max(np.abs(phase.u(phase.point_times)[row]))) or 1.0
-    set_minimum_y_range(
-        axes[1], NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, phase) / reach
+    negligible = NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, phase) / reach
+    set_minimum_y_range(axes[1], negligible)
+    axes[1].fill_between(
+        t, 0, 1, where=values[i] < -negligible, transform=axes[1].get_xaxis_transform(), **_NEGATIVE
     )
     switches = _find_control_arc_ends(solution, phase, row)
     for time in switches:

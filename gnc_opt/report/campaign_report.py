@@ -215,7 +215,7 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
 def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]) -> dict[str, str]:
     """Return the section of the failed runs, or of those closest to a limit."""
     (order, excess), limits, rows = _rank_runs_by_limit_excess(campaign), campaign.limits, []
-    count = int(np.sum(~campaign.passed()))
+    count, lost = int(np.sum(~campaign.passed())), int(np.sum(~campaign.ok))
     varied = np.any(campaign.parameters != campaign.parameters[:, :1], axis=1)
     spread = scipy.stats.zscore(campaign.parameters[varied], axis=1)
     labels = np.array(campaign.layouts["parameter"].labels)[varied]
@@ -224,7 +224,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
         deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
         rows.append((int(campaign.indices[k]), *_describe_run_failure(campaign, k), deviations))
     titles = ("run", "cause or measure", "value", "limit", "value / limit", "at (s)", "largest deviations")
-    text = captions["failed runs"].format(count, np.sum(~campaign.ok)) if count else ""
+    text = captions["failed runs"].format(count, count - lost, lost) if count else ""
     beyond = {name: np.sum((excess[name] > 0.0) & (excess[name] < np.inf)) for name in limits}
     counts = ", ".join(f"{campaign.describe_measure(name)} in {n}" for name, n in beyond.items() if n)
     text += f"Runs beyond a limit: {escape(counts)}. " * bool(counts)

@@ -34,6 +34,9 @@ CUT = """[...document.querySelectorAll("article *")].filter(element => {
 }).map(element => `${element.tagName} ${element.textContent.trim().slice(0, 40)} is cut off`).slice(0, 3)"""
 """What sticks out to the side where nothing scrolls."""
 
+SCROLLED = """[...document.querySelectorAll("pre, pre > code")].filter(e => e.scrollWidth > e.clientWidth + 1)
+.map(e => `code scrolls sideways: ${e.textContent.trim().slice(0, 40)}`).slice(0, 3)"""
+
 
 class Links(HTMLParser):
     """What a page refers to, and what in it can be referred to."""
@@ -133,7 +136,7 @@ def test_pages_at_both_widths(site: Path, address: str, tab: Tab) -> None:
                 tab.wait("document.documentElement.scrollWidth <= innerWidth", 3.0)
             except AssertionError:
                 wrong.append(f"{name}: {tab.ask('document.documentElement.scrollWidth')} wide of {size[0]}")
-            wrong += [f"{name} at {size[0]}: {what}" for what in tab.ask(CUT)]
+            wrong += [f"{name} at {size[0]}: {what}" for what in (*tab.ask(CUT), *tab.ask(SCROLLED))]
         elsewhere = [asked for asked in tab.asked if not asked.startswith(address)]
         wrong += [f"{name}: {what}" for what in (*tab.said, *elsewhere, *tab.ask(LOOSE))]
     assert not wrong, "\n".join(wrong)

@@ -111,8 +111,12 @@ def test_dotted_lines_mark_both_ends_of_a_singular_arc() -> None:
     leg.final(q=1.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(model.symbol("q") ** 2))
-    for ax in plot_controls(go.solve(problem, check=False)).axes:
+    figure = plot_controls(go.solve(problem, check=False))
+    for ax in figure.axes:
         assert dotted_lines(ax) == pytest.approx([1.0, 3.0], abs=1e-7)
+    (shaded,) = figure.axes[1].collections  # where the switching function is negative
+    times = np.concatenate([path.vertices[:, 0] for path in shaded.get_paths()])
+    assert (times.min(), times.max()) == pytest.approx((3.0, 4.0), abs=0.1)
 
 
 def test_rounding_errors_of_an_interior_control_are_neither_marked_nor_magnified(cart: go.Solution) -> None:

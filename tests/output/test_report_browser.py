@@ -7,6 +7,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.report import write_report
+from gnc_opt.report.html_report_document import build_html_document
 
 pytestmark = [pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine"), pytest.mark.slow]
 
@@ -73,6 +74,20 @@ def test_dark_mode_is_the_same_page_in_the_dark(tab, page):
     assert bright.mean() > 200 > 80 > black.mean()
     # the same layout: where one has edges at a coarse look, so has the other
     assert np.corrcoef(*(coarse_edges(picture).ravel() for picture in pictures))[0, 1] > 0.5
+
+
+def test_a_narrow_figure_leaves_the_one_before_it_on_its_page(tab, tmp_path):
+    """The page has 261 mm: 170 mm, two figures of about 30 mm, and 215 mm fit on two pages."""
+    drawing = '<div><svg viewBox="0 0 300 100"></svg></div>'
+    figures = "".join(
+        f'<figure class="{kind}">{drawing * n}<figcaption>Text.</figcaption></figure>'
+        for kind, n in (("halves", 2), ("panel", 1))
+    )
+    blocks = [f'<div style="height: {height}mm"></div>' for height in (170, 215)]
+    page = tmp_path / "report.html"
+    page.write_text(build_html_document("Report", "", {"First": blocks[0], "Second": figures + blocks[1]}))
+    tab.open(page, DESKTOP)
+    assert tab.print_to_pdf().count(b"/Type /Page\n") == 2
 
 
 def coarse_edges(picture):

@@ -90,6 +90,10 @@ class Tab:
         shot = self._call("Page.captureScreenshot", format="png")["data"]
         return Image.open(io.BytesIO(base64.b64decode(shot)))
 
+    def print_to_pdf(self) -> bytes:
+        """Return the page as it is printed."""
+        return base64.b64decode(self._call("Page.printToPDF", preferCSSPageSize=True)["data"])
+
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
         number = self._number

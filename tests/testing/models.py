@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gnc_opt as go
@@ -27,10 +28,13 @@ def one_phase(
     return problem, phase
 
 
-def cart_with_units() -> go.Model:
+def cart_with_units(name: str = "cart") -> go.Model:
     """Return a double integrator in m and s."""
-    model = go.Model("cart")
+    model = go.Model(name)
     q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
     a = model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
     return model
+
+
+double_integrator = partial(cart_with_units, "double integrator")

@@ -13,18 +13,10 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind
 from testing.internals import Interval, PiecewisePolynomial, Scheme
-from testing.models import dynamics, one_phase
+from testing.models import double_integrator, dynamics, one_phase
 
 Array = NDArray[np.float64]
 Piece = Literal["x", "u", "lam"]
-
-
-def double_integrator() -> go.Model:
-    model = go.Model("double integrator")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 @cache

@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from testing.constructed_solutions import interval
 from testing.internals import build_phase_guess, reformulate_problem
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import read_norm_limits
@@ -36,9 +37,7 @@ def by_hand(limit: Any, kind: str = "vector") -> go.Problem:
         T = ca.vertcat(model.control("T_x", unit="N"), model.control("T_y", unit="N"))
     d = model.control("d")
     model.ode({r: v, v: T})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("p", model, 0.0, DURATION)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
     leg.bounds(d=(0.0, 1.0))
@@ -245,9 +244,7 @@ def with_absolute(cost: Any) -> go.Problem:
     model = go.Model("cart")
     x, v, u = model.state("x"), model.state("v"), model.control("u")
     model.ode({x: v, v: u})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("p", model, 0.0, DURATION)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -398,9 +395,7 @@ def by_mass(limit: Any) -> go.Problem:
     r, v, m = model.state("r", 2), model.state("v", 2), model.state("m")
     T = model.control("T", 2)
     model.ode({r: v, v: T / m, m: -0.05 * ca.norm_2(T)})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("p", model, 0.0, DURATION)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0], m=40.0)
     leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
     leg.bounds(m=(1.0, 40.0))

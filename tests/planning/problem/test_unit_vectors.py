@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import build_phase_guess, reformulate_problem
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -24,9 +25,7 @@ def by_unit_vector(limit: Any = None, *, most: float = 1.0) -> go.Problem:
     r, v, d = model.state("r", 2), model.state("v", 2), model.control("d", unit="N")
     n = model.control("n", 2)
     model.ode({r: v, v: d * n})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("p", model, 0.0, DURATION)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
     leg.bounds(d=(0.0, most))
@@ -65,9 +64,7 @@ def test_costates_are_those_with_a_vector_control() -> None:
     r, v = model.state("r", 2), model.state("v", 2)
     T, magnitude = model.vector_control("T", 2)
     model.ode({r: v, v: T})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("p", model, 0.0, DURATION)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
     leg.norm_bounds(T=(0.0, 1.0))

@@ -478,25 +478,15 @@ def costates(t: Array, k: int) -> Any:
 
 def leg(**changes: Any) -> go.PhaseSolution:
     """Three segments, their costates' ends off by 5 and 7."""
-    here = phase(
-        PLANE,
-        states,
-        lambda t, k: 0 * t,
-        costates,
-        breaks=(0.0, 0.25, 0.5, 1.0),
-        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
-    )
+    arguments = PLANE, states, lambda t, k: 0 * t, costates
+    values: dict[str, Any] = {
+        "breaks": (0.0, 0.25, 0.5, 1.0),
+        "paths": lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
+    }
+    here = phase(*arguments, **values)
     off = np.array([[5.0], [7.0]])
-    values: dict[str, Any] = {"lam_start": here.lam_start + off, "lam_end": here.lam_end - off}
-    return phase(
-        PLANE,
-        states,
-        lambda t, k: 0 * t,
-        costates,
-        breaks=(0.0, 0.25, 0.5, 1.0),
-        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
-        **(values | changes),
-    )
+    values |= {"lam_start": here.lam_start + off, "lam_end": here.lam_end - off}
+    return phase(*arguments, **(values | changes))
 
 
 def held(*rows: tuple[ArcKind, ...]) -> FixedArcs:

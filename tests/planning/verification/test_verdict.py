@@ -8,19 +8,11 @@ import numpy as np
 import pytest
 from testing.internals import Interval, PiecewisePolynomial
 from testing.known_results import assert_known
-from testing.models import dynamics, one_phase
+from testing.models import double_integrator, dynamics, one_phase
 from testing.wrong_solutions import added, with_leg
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-
-
-def double_integrator() -> go.Model:
-    model = go.Model("double integrator")
-    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
-    a = model.control("a", unit="m/s^2")
-    model.ode({q: v, v: a})
-    return model
 
 
 def minimum_energy() -> go.Problem:
