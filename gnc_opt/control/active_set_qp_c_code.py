@@ -92,7 +92,7 @@ class QpCode:
             "state_upper": set_nonfinite_to_zero(rows.state_upper),
             "row_lower": self._qp_constraint_limits[0], "row_upper": self._qp_constraint_limits[1]
         }  # fmt: skip
-        places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
+        index_tables = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
         lines += [
             "",
@@ -104,8 +104,8 @@ class QpCode:
             numbers.write_c_array_definition(name, values if values.size else np.zeros(1))
             for name, values in arrays.items()
         ]
-        for name, entries in places.items():
-            lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
+        for name, indices in index_tables.items():
+            lines.append(f"static const int {name}[] = {{{', '.join(map(str, indices or (0,)))}}};")
         steps = [
             "{" + ", ".join(numbers.format_c_initializer(table[k]) for table in self.matrices) + "}"
             for k in range(len(self.matrices[0]))
@@ -137,11 +137,11 @@ class QpCode:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
-        none = np.full(states, LARGEST)
-        below = np.where(np.isfinite(rows.state_lower), 0.0, -LARGEST)
-        above = np.where(np.isfinite(rows.state_upper), 0.0, LARGEST)
-        low = np.concatenate([np.full(m, -1.0), below, -none, np.zeros(soft)])
-        high = np.concatenate([np.full(m, 1.0), none, above, np.full(soft, LARGEST)])
+        unlimited = np.full(states, LARGEST)
+        lower_states = np.where(np.isfinite(rows.state_lower), 0.0, -LARGEST)
+        upper_states = np.where(np.isfinite(rows.state_upper), 0.0, LARGEST)
+        low = np.concatenate([np.full(m, -1.0), lower_states, -unlimited, np.zeros(soft)])
+        high = np.concatenate([np.full(m, 1.0), unlimited, upper_states, np.full(soft, LARGEST)])
         return low, high
 
 
@@ -206,5 +206,5 @@ class _IndexedSchedule:
 def _declare_external_qp_solver(n: int, m: int) -> Any:
     """Return a function that stands for the QP solver in the exported law; it returns NaN in Python."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
-    nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
-    return ca.Function("programme", inputs, nothing, {"never_inline": True})
+    nans = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
+    return ca.Function("programme", inputs, nans, {"never_inline": True})

@@ -86,33 +86,33 @@ def report_control_authority(
     )
     extra = np.column_stack([extra, extra[:, -1]])
     lower, upper = (limit[:, None] for limit in limits)
-    left = np.minimum(upper - u, u - lower) - extra
-    row, column = np.unravel_index(int(np.argmin(left)), left.shape)
+    margin = np.minimum(upper - u, u - lower) - extra
+    row, column = np.unravel_index(int(np.argmin(margin)), margin.shape)
     label, where = reference.controls.labels[row], f"at t = {times[column]:.6g} s"
-    if required and left[row, column] < 0:
+    if required and margin[row, column] < 0:
         besides = "" if gain is None else f"{extra[row, column]:.6g} besides its feedforward "
         raise DesignError(
             f"{'the reference' if gain is None else 'the switching gain'} is beyond the authority: control '{label}' "
             f"needs {besides}{u[row, column]:.6g} {where}, but its limits are {limits[0][row]:.6g} and "
             f"{limits[1][row]:.6g}; {'' if gain is None else 'lower the gain, or '}plan with a larger margin."
         )
-    shares = 2 * left.min(axis=1) / (limits[1] - limits[0])
-    used = "feedforward" if gain is None else "feedforward and gain"
-    remark = f"remaining share of half the range after {used}; smallest for '{label}' {where}"
+    shares = 2 * margin.min(axis=1) / (limits[1] - limits[0])
+    subtracted = "feedforward" if gain is None else "feedforward and gain"
+    remark = f"remaining share of half the range after {subtracted}; smallest for '{label}' {where}"
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 
 def report_reference_limit_violation(
-    reference: Reference, places: Sequence[int], lower: Array, upper: Array
+    reference: Reference, rows: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
-    """Return the largest violation of state limits (n_limited,) by the reference at rows ``places``, and warn."""
+    """Return the largest violation of state limits (n_limited,) by the reference at rows ``rows``, and warn."""
     times, facts = choose_reference_sample_times(reference), []
-    for place, low, high in zip(places, lower, upper, strict=True):
-        x, label = reference.x(times)[place], reference.states.labels[place]
+    for row, low, high in zip(rows, lower, upper, strict=True):
+        x, label = reference.x(times)[row], reference.states.labels[row]
         over = np.maximum(low - x, x - high)
         k = int(np.argmax(over))
         if over[k] > AT_LIMIT * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
-            name, unit = f"reference beyond the limits of {label}", reference.states.units[place]
+            name, unit = f"reference beyond the limits of {label}", reference.states.units[row]
             facts.append(
                 ReportEntry(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; not tracked there")
             )

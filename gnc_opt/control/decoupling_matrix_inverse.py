@@ -88,9 +88,9 @@ def build_guarded_decoupling_inverse(
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
     worst = int(np.argmin(signed))
-    lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
+    is_singular = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.evaluate_expression_on_reference(reference, times[[worst]], matrix)[0]
-    if lost or is_rank_deficient(np.linalg.svd(there, compute_uv=False)):
+    if is_singular or is_rank_deficient(np.linalg.svd(there, compute_uv=False)):
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
@@ -149,17 +149,17 @@ def build_singularity_guarded_controller(
     last = ca.SX.sym("u_last", pair.u.numel())
     singular, regular = ca.SX.sym(SINGULAR), guarded.regular
     u = ca.if_else(regular, guarded.command, last if guarded.fallback is None else guarded.fallback)
-    own = [
+    entries = [
         *memory,
         MemoryEntry("u_last", last, pair.u_ref, u),
         MemoryEntry(SINGULAR, singular, ca.SX(0), ca.fmax(singular, ca.logic_not(regular))),
     ]
-    z = ca.vertcat(*[part.symbol for part in own])
-    start = ca.vertcat(*[part.start for part in own])
+    z = ca.vertcat(*[part.symbol for part in entries])
+    start = ca.vertcat(*[part.start for part in entries])
     frozen = [ca.if_else(regular, part.after, part.symbol) for part in memory]
-    after = ca.vertcat(*frozen, *[part.after for part in own[len(memory) :]])
+    after = ca.vertcat(*frozen, *[part.after for part in entries[len(memory) :]])
     inner_signals: list[Variable] = []
-    variables = [part.memory_variable for part in own]
+    variables = [part.memory_variable for part in entries]
     r = ca.vertcat(pair.x_ref, pair.u_ref)
     schedule: Schedule = ReferenceSchedule(reference)
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)

@@ -119,11 +119,11 @@ def _format_design_report_value(fact: ReportEntry) -> str:
 
 
 def _format_number_list(values: Array) -> str:
-    texts, left = [], list(values)
-    while left:
-        value = left.pop(0)
-        if left and np.iscomplexobj(value) and value.imag and left[0] == np.conj(value):
-            left.pop(0)
+    texts, remaining = [], list(values)
+    while remaining:
+        value = remaining.pop(0)
+        if remaining and np.iscomplexobj(value) and value.imag and remaining[0] == np.conj(value):
+            remaining.pop(0)
             texts.append(f"{value.real:.3g} ± {abs(value.imag):.3g}j")
         else:
             texts.append(format_number(value))

@@ -214,9 +214,9 @@ def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
 def _check_casadi_function_shape(
     what: str, function: Any, inputs: tuple[int, ...], outputs: tuple[int, ...]
 ) -> None:
-    found = tuple(function.size1_in(i) for i in range(function.n_in()))
-    found_out = tuple(function.size1_out(i) for i in range(function.n_out()))
-    if (found, found_out) != (inputs, outputs):
+    rows_in = tuple(function.size1_in(i) for i in range(function.n_in()))
+    rows_out = tuple(function.size1_out(i) for i in range(function.n_out()))
+    if (rows_in, rows_out) != (inputs, outputs):
         raise ArgumentError(
-            f"{what} takes {found} rows and returns {found_out}: its layouts require {inputs} and {outputs}."
+            f"{what} takes {rows_in} rows and returns {rows_out}: its layouts require {inputs} and {outputs}."
         )

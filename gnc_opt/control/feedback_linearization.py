@@ -150,11 +150,11 @@ def _list_output_derivative_orders(errors: OutputErrors) -> list[tuple[int, int]
 
 def _build_integrator_chain_matrices(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _list_output_derivative_orders(errors)
-    a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
-    for row, (i, k) in enumerate(places):
+    orders = _list_output_derivative_orders(errors)
+    a, b = np.zeros((len(orders), len(orders))), np.zeros((len(orders), errors.n_outputs))
+    for row, (i, k) in enumerate(orders):
         if k + 1 < errors.relative_degrees[i]:
-            a[row, places.index((i, k + 1))] = 1.0
+            a[row, orders.index((i, k + 1))] = 1.0
         else:
             b[row, i] = 1.0
     return a, b
@@ -168,10 +168,10 @@ def _place_error_poles(
     for column, (i, k) in enumerate(_list_output_derivative_orders(errors)):
         label, degree = errors.labels[i], errors.relative_degrees[i]
         gain[i, column] = _compute_pole_placement_gains(errors, label, degree, poles)[k]
-    found = np.linalg.eigvals(a - b @ gain)
-    if np.max(found.real) >= 0:
+    closed_loop = np.linalg.eigvals(a - b @ gain)
+    if np.max(closed_loop.real) >= 0:
         raise DesignError(
-            f"the errors would not decay: the poles are {format_number(found)} 1/s; "
+            f"the errors would not decay: the poles are {format_number(closed_loop)} 1/s; "
             "give poles with negative real parts."
         )
     return gain

@@ -183,9 +183,9 @@ def build_output_derivative_chains(
         chains.append(ca.vertcat(*chain))
         last.append(rate)
     rates = ca.vertcat(*last)
-    nothing = ca.DM.zeros(pair.u.numel())
+    zero_control = ca.DM.zeros(pair.u.numel())
     drift, decoupling = (
-        ca.simplify(ca.densify(ca.substitute(value, pair.u, nothing)))
+        ca.simplify(ca.densify(ca.substitute(value, pair.u, zero_control)))
         for value in (rates, ca.jacobian(rates, pair.u))
     )
     return OutputErrors(pair, tuple(named), tuple(chains), drift, decoupling)
@@ -225,13 +225,13 @@ def _differentiate_error_until_control_enters(
     pair: PlantPair, reference: Reference, label: str, e: Any
 ) -> tuple[list[Any], Any]:
     """Return [e, de/dt, ...] without controls, and the first derivative that contains a control."""
-    nothing = ca.DM.zeros(pair.u.numel())
+    zero_control = ca.DM.zeros(pair.u.numel())
     chain = [e]
     for _ in range(pair.x.numel()):
         rate = pair.compute_lie_derivative(chain[-1])
         if _has_control_in_output_rate(pair, reference, chain[-1], rate):
             return chain, rate
-        chain.append(ca.substitute(rate, pair.u, nothing))
+        chain.append(ca.substitute(rate, pair.u, zero_control))
     raise DesignError(
         f"no control of model '{pair.model.name}' enters output '{label}' or any of its first "
         f"{pair.x.numel()} derivatives: its relative degree is not defined, steer another output."
@@ -247,8 +247,8 @@ def _has_control_in_output_rate(pair: PlantPair, reference: Reference, e: Any, r
     random = np.random.default_rng(0)
     for t in np.linspace(reference.initial_time, reference.final_time, 5):
         x, u = reference.x(t), reference.u(t)
-        near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
-        value, scale = (np.asarray(m.full()) for m in function(t, near, u, x, u))
+        nearby_state = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
+        value, scale = (np.asarray(m.full()) for m in function(t, nearby_state, u, x, u))
         if np.any(np.abs(value) > ROUNDING * scale):
             return True
     return False
@@ -321,14 +321,14 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
 
 
 def get_output_component_setting(
-    label: str, given: Mapping[str, Any], errors: OutputErrors, where: str
+    label: str, settings: Mapping[str, Any], errors: OutputErrors, where: str
 ) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_get_output_name_of_component, errors.labels)]
-    for key in given:
+    for key in settings:
         if key not in known:
             raise unknown_name_error("output", key, where, errors.labels)
-    return given.get(label, given.get(_get_output_name_of_component(label)))
+    return settings.get(label, settings.get(_get_output_name_of_component(label)))
 
 
 def _get_output_name_of_component(label: str) -> str:

@@ -112,8 +112,8 @@ def design_integral_sliding_mode(
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
     s, integral = _build_integral_sliding_surface(errors, dt)
-    wanted, twist = switching.solve_for_reaching_law_input(s, ca.SX.zeros(errors.n_outputs))
-    u = u_nominal + inverse(wanted)
+    control_input, twist = switching.solve_for_reaching_law_input(s, ca.SX.zeros(errors.n_outputs))
+    u = u_nominal + inverse(control_input)
     memory = [
         *twist,
         *switching.create_disturbance_exceeds_gain_alarm(s, stays=False),
@@ -171,22 +171,22 @@ def _build_integral_sliding_surface(errors: OutputErrors, dt: float) -> tuple[An
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
     g = errors.drift + errors.decoupling @ pair.u
     g_rate = pair.compute_lie_derivative(g)
-    held = ca.SX.sym("u_nominal", pair.u.numel()), ca.SX.sym("u_ref_held", pair.u.numel())
-    here = ca.vertcat(pair.u, pair.u_ref)
-    right = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, here, ca.vertcat(*held))
-    left = dt / 2 * g + dt**2 / 12 * g_rate
+    previous = ca.SX.sym("u_nominal", pair.u.numel()), ca.SX.sym("u_ref_held", pair.u.numel())
+    commands = ca.vertcat(pair.u, pair.u_ref)
+    previous_part = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, commands, ca.vertcat(*previous))
+    present_part = dt / 2 * g + dt**2 / 12 * g_rate
     first, behind = ca.SX.sym("w_start", errors.n_outputs), ca.SX.sym("integral", errors.n_outputs)
-    s = (w - first) - (behind + right)
+    s = (w - first) - (behind + previous_part)
     # The integral is empty at the first step: subtract the right-end contribution of a step before it at u_ref.
-    nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
+    initial = -ca.substitute(previous_part, ca.vertcat(*previous), ca.vertcat(pair.u_ref, pair.u_ref))
 
     def build_integral_surface_memory(u_nominal: Any) -> list[MemoryEntry]:
-        ahead = ca.substitute(left, pair.u, u_nominal)
+        ahead = ca.substitute(present_part, pair.u, u_nominal)
         return [
             MemoryEntry("w_start", first, w, first),
-            MemoryEntry("integral", behind, nothing, behind + right + ahead),
-            MemoryEntry("u_nominal", held[0], pair.u_ref, u_nominal),
-            MemoryEntry("u_ref_held", held[1], pair.u_ref, pair.u_ref),
+            MemoryEntry("integral", behind, initial, behind + previous_part + ahead),
+            MemoryEntry("u_nominal", previous[0], pair.u_ref, u_nominal),
+            MemoryEntry("u_ref_held", previous[1], pair.u_ref, pair.u_ref),
             MemoryEntry("s", ca.SX.sym("s", errors.n_outputs), ca.SX.zeros(errors.n_outputs), s),
         ]
 

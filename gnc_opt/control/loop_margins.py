@@ -71,18 +71,18 @@ def _compute_channel_margins(
     a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
-    rest = a - b[:, others] @ gain[others]
-    within = mask_states_on_input_output_path(rest, b[:, [i]], gain[[i]])
-    rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
+    dynamics = a - b[:, others] @ gain[others]
+    within = mask_states_on_input_output_path(dynamics, b[:, [i]], gain[[i]])
+    dynamics, b, gain = dynamics[np.ix_(within, within)], b[within], gain[:, within]
 
     def evaluate_loop_gain(w: float) -> complex:
-        return complex(_evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
+        return complex(_evaluate_loop_transfer(dynamics, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
 
-    values = _evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
+    values = _evaluate_loop_transfer(dynamics, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [
         1.0 / -v
         for v in _find_real_axis_crossings(
-            (rest, b[:, i], gain[i]), evaluate_loop_gain, omega, values.imag, dt
+            (dynamics, b[:, i], gain[i]), evaluate_loop_gain, omega, values.imag, dt
         )
         if v < 0
     ]
@@ -113,11 +113,11 @@ def mask_states_on_input_output_path(a: Array, b: Array, c: Array) -> Mask:
             from_ = from_ | more
         return from_
 
-    moved, seen = (
+    reachable, observable = (
         mask_states_reachable_from(np.any(b != 0, axis=1), there),
         mask_states_reachable_from(np.any(c != 0, axis=0), there.T),
     )
-    return np.asarray(moved & seen)
+    return np.asarray(reachable & observable)
 
 
 def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
@@ -160,20 +160,20 @@ def _find_real_axis_crossings(
     dt: float | None,
 ) -> list[float]:
     """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
-    found = []
+    crossings = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
-        found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
+        gain, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+        crossings.append(gain.real if change < _GAIN_ROUNDING_SHARE * abs(gain) else np.inf)
     for k in find_sign_changes(imaginary):
         ends = [
             _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
             for w in omega[k : k + 2]
         ]
-        if all(change < abs(at.imag) for at, change in ends):
+        if all(change < abs(gain.imag) for gain, change in ends):
             (w,) = _find_bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
-            found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
-    return found
+            gain, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+            crossings.append(gain.real if change < _GAIN_ROUNDING_SHARE * abs(gain) else np.inf)
+    return crossings
 
 
 def _evaluate_loop_gain_with_rounding_error(
@@ -182,11 +182,11 @@ def _evaluate_loop_gain_with_rounding_error(
     """Return L at s (or z), and its first-order change by rounding of A and of s."""
     one = np.eye(len(a))
     try:
-        right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
+        from_input, to_output = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
     except np.linalg.LinAlgError:
         return complex(np.inf), np.inf
-    change = np.finfo(float).eps * float(np.abs(left) @ (np.abs(a) + abs(s) * one) @ np.abs(right))
-    return complex(gain @ right), change
+    change = np.finfo(float).eps * float(np.abs(to_output) @ (np.abs(a) + abs(s) * one) @ np.abs(from_input))
+    return complex(gain @ from_input), change
 
 
 def _build_margin_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
@@ -200,8 +200,8 @@ def _build_margin_frequency_grid(a: Array, closed: Array, dt: float | None) -> A
         size = np.array([1.0 if dt is None else np.pi / dt])
     low, high = np.log10(size.min()) - 4.0, np.log10(size.max()) + 4.0
     grid = np.logspace(low, high, 2000)
-    near = np.abs(poles.imag)[np.abs(poles.imag) > 0]
-    grid = np.unique(np.concatenate([grid, near * (1 - _BESIDE), near * (1 + _BESIDE)]))
+    resonances = np.abs(poles.imag)[np.abs(poles.imag) > 0]
+    grid = np.unique(np.concatenate([grid, resonances * (1 - _BESIDE), resonances * (1 + _BESIDE)]))
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 

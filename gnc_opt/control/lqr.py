@@ -77,15 +77,15 @@ def report_regulator_poles_and_margins(
 
 
 def _report_stability_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
-    found = compute_stability_margins(a, b, gain, dt)
-    alpha, down = found.disk, np.where(found.gain_down > SMALL, found.gain_down, 0.0)
-    both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
+    margins = compute_stability_margins(a, b, gain, dt)
+    alpha, down = margins.disk, np.where(margins.gain_down > SMALL, margins.gain_down, 0.0)
+    disk_text = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
-        ReportEntry("gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"),
+        ReportEntry("gain margin up", margins.gain_up, "", "largest factor of the gain, other loops closed"),
         ReportEntry("gain margin down", down, "", "smallest factor of the gain, other loops closed"),
-        ReportEntry("phase margin", np.degrees(found.phase), "deg", "of each control, other loops closed"),
-        ReportEntry("delay margin", found.delay, "s", "of each control, other loops closed"),
-        ReportEntry("disk margin", alpha, "", both),
+        ReportEntry("phase margin", np.degrees(margins.phase), "deg", "of each control, other loops closed"),
+        ReportEntry("delay margin", margins.delay, "s", "of each control, other loops closed"),
+        ReportEntry("disk margin", alpha, "", disk_text),
     ]
 
 
@@ -219,8 +219,8 @@ def _build_lqr_integral_states(
 ) -> _IntegralStates:
     model = deviation.model
     variables, rows, weights = [], [], []
-    asked = read_optional_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
-    for name, weight in asked.items():
+    costs = read_optional_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
+    for name, weight in costs.items():
         if name in model.errors:
             variable = model.errors[name]
             matrix = np.eye(model.errors.size)[model.errors.slice(name)]
@@ -246,7 +246,7 @@ def _build_lqr_integral_states(
     diagonal = np.concatenate(weights) if weights else np.zeros(0)
     require_definite(np.diag(diagonal), memory.labels, "the weight")
     matrix = np.vstack(rows) if rows else np.zeros((0, model.errors.size))
-    return _IntegralStates(memory, tuple(asked), matrix, np.diag(diagonal))
+    return _IntegralStates(memory, tuple(costs), matrix, np.diag(diagonal))
 
 
 def _solve_augmented_riccati(
@@ -265,8 +265,8 @@ def _solve_augmented_riccati(
         per_step = read_positive_number(dt, "the control step dt")
         # before sampling, so that the message contains the continuous eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
-        held = discretize_plant_and_cost(a, b, q, r, n, per_step)
-        a, b, q, r, n = held.a, held.b, held.q, held.r, held.n
+        discrete = discretize_plant_and_cost(a, b, q, r, n, per_step)
+        a, b, q, r, n = discrete.a, discrete.b, discrete.q, discrete.r, discrete.n
         one = np.eye(k)
     m = b.shape[1]
     wide_a = np.block([[a, np.zeros((a.shape[0], k))], [per_step * c, one]])

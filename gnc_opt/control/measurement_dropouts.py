@@ -126,26 +126,26 @@ def _build_law_for_measurement_dropouts(
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
     t, x, r = kind.sym("t"), kind.sym("x", states), kind.sym("r", inner.signals.size)
     z = kind.sym("z", size + states + 2)
-    memory, last, lost, invalid = ca.vertsplit(
+    memory, last, missed_steps, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
     good = _is_vector_finite(x)
     # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
-    usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
+    usable = ca.logic_or(good, ca.logic_and(missed_steps > _NEVER / 2, missed_steps < hold - 0.5))
     y = ca.if_else(good, x, last)
-    u, after, *valid = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
+    u, after, *valid = bare(t, y, r, ca.if_else(missed_steps < _NEVER / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_is_vector_finite(u), _is_vector_finite(after)))
     spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
-        ca.if_else(good, 0, ca.if_else(lost < _NEVER / 2, _NEVER, lost + 1)),
+        ca.if_else(good, 0, ca.if_else(missed_steps < _NEVER / 2, _NEVER, missed_steps + 1)),
         ca.if_else(works, invalid, 1),
     )
     step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *valid)
-    begun = ca.if_else(good, ca.vertcat(first, x), 0)
-    return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
+    started = ca.if_else(good, ca.vertcat(first, x), 0)
+    return step, initial_state_function(t, x, r, ca.vertcat(started, ca.if_else(good, 0, _NEVER), 0))
 
 
 def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:

@@ -151,10 +151,10 @@ def design_mpc(
             f"the limits of design_mpc() are {quote_value(limits)}: give finite limits, "
             "larger than any command if a control has none."
         )
-    price = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
+    penalty = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = report_control_authority(reference, bounds, required=True)
     change = None if rate_limits is None else _read_command_rate_limits(rate_limits, model, dt)
-    in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)
+    in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, penalty)
     rows = StepLimits(*bounds, change, in_x, in_e, *of_states)
     beyond = report_reference_limit_violation(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
@@ -208,14 +208,14 @@ class _LtvModel:
     def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
         steps, costs = self.gains.steps, self.gains.costs
         p = costs[min(first + self.count, len(costs) - 1)]
-        found = []
+        stages = []
         for k in reversed(range(first, first + self.count)):
             s = steps[min(k, len(steps) - 1)]
             weight = s.r + s.b.T @ p @ s.b
             gain, p = step_riccati_backward(s, p)
             root = np.linalg.inv(np.linalg.cholesky(weight)).T
-            found.append((s.a - s.b @ gain, s.b @ root, gain, root))
-        a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(found), strict=True))
+            stages.append((s.a - s.b @ gain, s.b @ root, gain, root))
+        a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(stages), strict=True))
         return a, f, k_, g
 
 
@@ -268,16 +268,16 @@ class _MpcLaw:
         t, x, r, z = self._create_mpc_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
-        inside = self._build_horizon_qp_function(
+        within_limits = self._build_horizon_qp_function(
             "inside", ca.SX, lambda horizon, *a: [horizon.is_unconstrained_regulator_feasible(*a)]
         )(*known)
-        omega, solved = ca.MX.zeros(m), inside
+        omega, solved = ca.MX.zeros(m), within_limits
         if not unconstrained:
             keep = self._build_horizon_qp_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
             either = ca.Function.if_else(
                 "either", keep, self._build_horizon_qp_function("solve", ca.MX, self._solve_horizon_qp)
             )
-            omega, solved = either(inside, *known)  # evaluates only one branch
+            omega, solved = either(within_limits, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
         u = clip_command_and_rate(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
@@ -302,10 +302,10 @@ class _MpcLaw:
         states, m = x.shape[0], self.rows.lower.size
         count, limited = self.schedule.windows.count, len(self.schedule.limited)
         edges = [0, states, states + m * count, states + (m + limited) * count, r.shape[0]]
-        x_ref, *given = ca.vertsplit(r, edges)
+        x_ref, *horizon_data = ca.vertsplit(r, edges)
         sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
         error = ca.Function("e", [sx, sx_ref], [self.deviation.state_error_expression(sx, sx_ref)])
-        return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
+        return [error(x, x_ref), *horizon_data, *ca.vertsplit(z, [0, m, m + 1])]
 
     def _build_horizon_qp_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the symbolic arguments of its QP."""
@@ -390,7 +390,7 @@ def _read_state_limits(
     deviation: ErrorDynamics,
     limits: Mapping[str, tuple[ArrayLike, ArrayLike]],
     hard: Sequence[str],
-    price: Array,
+    penalty: Array,
 ) -> tuple[tuple[int, ...], tuple[int, ...], Array, Array, Array]:
     """Return the indices of the limited states in x and in e, their limits and the weights of their errors."""
     model = deviation.model
@@ -421,7 +421,7 @@ def _read_state_limits(
         lower += list(low)
         upper += list(high)
         place = model.errors.slice(name)
-        prices += [np.inf] * size if name in hard else list(price[place])
+        prices += [np.inf] * size if name in hard else list(penalty[place])
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 

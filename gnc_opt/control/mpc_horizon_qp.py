@@ -63,8 +63,8 @@ class StepLimits:
     @property
     def penalty_square_roots(self) -> Array:
         """Square roots of the penalties; scaled by them, squared slacks have weight one."""
-        price = self.price[self.soft_limited_states] * self.state_scale[self.soft_limited_states] ** 2
-        return np.sqrt(np.maximum(price, _LEAST_PRICE))
+        penalty = self.price[self.soft_limited_states] * self.state_scale[self.soft_limited_states] ** 2
+        return np.sqrt(np.maximum(penalty, _LEAST_PRICE))
 
 
 @dataclass(frozen=True, eq=False)

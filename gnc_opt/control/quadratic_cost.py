@@ -78,8 +78,8 @@ def read_quadratic_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None)
             f"the weight N has the shape {cross.shape}: give finite numbers of the shape {shape}."
         )
     if n is not None:
-        both = np.block([[weight, cross], [cross.T, effort]])
-        require_semidefinite(both, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
+        weights = np.block([[weight, cross], [cross.T, effort]])
+        require_semidefinite(weights, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
     return QuadraticCost(weight, effort, cross)
 
 

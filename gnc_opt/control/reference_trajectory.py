@@ -342,12 +342,12 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
         u = u + step
         if max_norm(step) <= ROUNDING * (1 + max_norm(u)):
             break
-    left = np.abs(model.f(t, state, u))
-    worst = int(np.argmax(left))
-    if left[worst] > TRIM_TOLERANCE * max(max_norm(state), 1.0):
+    residual = np.abs(model.f(t, state, u))
+    worst = int(np.argmax(residual))
+    if residual[worst] > TRIM_TOLERANCE * max(max_norm(state), 1.0):
         raise ArgumentError(
             f"no control keeps the final state of '{model.name}' at rest: '{model.states.labels[worst]}' still moves "
-            f'at {left[worst]:.3g} per second; give the reference tail="hold".'
+            f'at {residual[worst]:.3g} per second; give the reference tail="hold".'
         )
     return u
 
@@ -355,10 +355,10 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 def _warn_of_dynamics_residual(
     model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
 ) -> None:
-    found = describe_dynamics_residual(model, x, u, np.unique(edges))
-    if found:
+    residual = describe_dynamics_residual(model, x, u, np.unique(edges))
+    if residual:
         warn_user(
-            f"the reference does not satisfy the dynamics of '{model.name}': {found}; give consistent functions x "
+            f"the reference does not satisfy the dynamics of '{model.name}': {residual}; give consistent functions x "
             "and u, or accept a tracking error with every controller."
         )
 

@@ -149,12 +149,12 @@ def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> li
         reached = np.hstack([reached, newest])
     if reached.shape[1] >= size:
         return []
-    rest = np.linalg.svd(reached, full_matrices=True)[0][:, reached.shape[1] :]
-    block = rest.T @ balanced @ rest
-    eigenvalues, left = np.linalg.eig(block.T)
+    unreachable = np.linalg.svd(reached, full_matrices=True)[0][:, reached.shape[1] :]
+    block = unreachable.T @ balanced @ unreachable
+    eigenvalues, left_vectors = np.linalg.eig(block.T)
     modes = []
-    for eigenvalue, vector in zip(eigenvalues, left.T, strict=True):
-        share = np.abs(rest @ vector)
+    for eigenvalue, vector in zip(eigenvalues, left_vectors.T, strict=True):
+        share = np.abs(unreachable @ vector)
         pencil = np.hstack([eigenvalue * np.eye(size) - balanced, inputs])
         gap = float(np.linalg.svd(pencil, compute_uv=False)[-1])
         states = tuple(label for label, s in zip(labels, share, strict=True) if s > _PART * share.max())

@@ -135,8 +135,8 @@ def discretize_time_varying_plant(
 def discretize_zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
     """Return the discrete plant (A, B) of a zero-order hold over dt (s)."""
     n, m = b.shape
-    both = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
-    return both[:n, :n], both[:n, n:]
+    exponential = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    return exponential[:n, :n], exponential[:n, n:]
 
 
 def compute_spectral_radius(matrix: Array) -> float:

@@ -77,19 +77,19 @@ def _build_sliding_mode_command(
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
-    wanted, twist = switching.solve_for_reaching_law_input(s, drift)
+    control_input, twist = switching.solve_for_reaching_law_input(s, drift)
     memory = [
         MemoryEntry("s", ca.SX.sym("s", n), s, s),
         *twist,
         *switching.create_disturbance_exceeds_gain_alarm(s),
     ]
     if observer is None:
-        return memory, inverse(wanted)
+        return memory, inverse(control_input)
     assert dt is not None
     s_hat, q = ca.SX.sym("s_hat", n), ca.SX.sym("disturbance", n)
-    u = inverse(wanted - observer.estimate(s, s_hat, q))
-    known = drift + errors.decoupling @ saturate_command(u, switching.limits)
-    s_next, q_next = observer.update(s, s_hat, q, known, dt)
+    u = inverse(control_input - observer.estimate(s, s_hat, q))
+    known_rate = drift + errors.decoupling @ saturate_command(u, switching.limits)
+    s_next, q_next = observer.update(s, s_hat, q, known_rate, dt)
     return [
         *memory,
         MemoryEntry("s_hat", s_hat, s, s_next),
@@ -157,14 +157,14 @@ class SwitchingControl:
 
     def solve_for_reaching_law_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
         """Return E u for which ``ds/dt = drift + E u`` satisfies the reaching law, and its memory entries; SX."""
-        wanted = -drift - self.reaching.rate(s, self.boundary)
+        control_input = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
-            return wanted, []
+            return control_input, []
         assert self.dt is not None
         size = self.bounds.size
         twist = ca.SX.sym("twist", size)
-        grown = twist + self.dt * self.reaching.integral_term_rate(s, self.boundary)
-        return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
+        twist_next = twist + self.dt * self.reaching.integral_term_rate(s, self.boundary)
+        return control_input + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), twist_next)]
 
     def create_disturbance_exceeds_gain_alarm(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
         """Return the alarm's memory for disturbances above the gain; see `create_boundary_layer_exit_alarm`."""
@@ -255,15 +255,15 @@ def create_boundary_layer_exit_alarm(s: Any, first: Any, edge: float, *, stays: 
     if edge <= 0:
         return []
     n = s.shape[0]
-    away, flag = ca.SX.sym("away", n), ca.SX.sym(SWITCHING_GAIN_EXCEEDED)
+    outside_steps, flag = ca.SX.sym("away", n), ca.SX.sym(SWITCHING_GAIN_EXCEEDED)
     distance = ca.SX.sym("distance", n)
-    begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
+    is_started, outside, size = outside_steps > -0.5, ca.fabs(s) > edge, ca.fabs(s)
     # consecutive steps outside; before sliding starts, steps on which s has grown, counted from -1 downward
-    growing = ca.if_else(size > distance, away - 1, -1)
-    after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
+    growing = ca.if_else(size > distance, outside_steps - 1, -1)
+    after = ca.if_else(outside, ca.if_else(is_started, outside_steps + 1, growing), 0 if stays else -1)
     raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > LAYER_EXIT_MIN_STEPS - 0.5)
     return [
-        MemoryEntry("away", away, -ca.SX.ones(n), after),
+        MemoryEntry("away", outside_steps, -ca.SX.ones(n), after),
         MemoryEntry("distance", distance, ca.fabs(first), size),
         MemoryEntry(SWITCHING_GAIN_EXCEEDED, flag, ca.SX(0), raised, alarm=True),
     ]
@@ -376,14 +376,14 @@ def design_sliding_mode(
 
 
 def _compute_sliding_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
-    found = []
+    coefficients = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
-        given = _read_sliding_surface_slope(errors, slopes, label, i) if r > 1 else []
+        slope = _read_sliding_surface_slope(errors, slopes, label, i) if r > 1 else []
         try:
-            poles = np.asarray(given, dtype=complex)
+            poles = np.asarray(slope, dtype=complex)
         except (TypeError, ValueError):
             raise DesignError(
-                f"the slope of output '{label}' is {quote_value(given)}: give lambda, in 1/s, or poles."
+                f"the slope of output '{label}' is {quote_value(slope)}: give lambda, in 1/s, or poles."
             ) from None
         if poles.ndim == 0:
             poles = np.full(r - 1, -poles)
@@ -398,8 +398,8 @@ def _compute_sliding_surface_coefficients(errors: OutputErrors, slopes: Slopes) 
                 f"the surface of output '{label}' has the poles {poles}: give lambda > 0, or poles with negative "
                 "real parts in conjugate pairs."
             )
-        found.append(polynomial[::-1])
-    return found
+        coefficients.append(polynomial[::-1])
+    return coefficients
 
 
 def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:

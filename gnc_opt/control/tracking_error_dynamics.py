@@ -72,8 +72,8 @@ class ErrorDynamics:
         flat = evaluate_casadi_batch(
             self._tracking_error_jacobian_function, times.size, times[None], x_ref, u_ref, p
         )
-        found = np.swapaxes(flat.T.reshape(times.size, -1, rows), 1, 2)
-        jacobian, x_jacobian, u_jacobian = np.split(found, [n, 2 * n], axis=2)
+        matrices = np.swapaxes(flat.T.reshape(times.size, -1, rows), 1, 2)
+        jacobian, x_jacobian, u_jacobian = np.split(matrices, [n, 2 * n], axis=2)
         if n == rows and np.array_equal(jacobian, np.broadcast_to(np.eye(n), jacobian.shape)):
             return x_jacobian, u_jacobian
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
@@ -92,8 +92,8 @@ class ErrorDynamics:
         """Return C (n_rows, n_errors), the Jacobian of output ``name`` in the errors, at t (s), x_ref, u_ref."""
         y = self.output_expression(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
-        found = self._tracking_error_jacobian_function(t, x_ref, u_ref, self.model.parameter_values).full()
-        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(found[:, : self.model.states.size]))
+        jacobian = self._tracking_error_jacobian_function(t, x_ref, u_ref, self.model.parameter_values).full()
+        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian[:, : self.model.states.size]))
 
     @cached_property
     def _tracking_error_function(self) -> Any:
@@ -108,5 +108,5 @@ class ErrorDynamics:
         e = self.state_error_expression(x, x_ref)
         rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
         outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
-        here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
-        return ca.Function("jacobians", [t, x_ref, u_ref, p], [ca.densify(ca.horzcat(*here))])
+        on_reference = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
+        return ca.Function("jacobians", [t, x_ref, u_ref, p], [ca.densify(ca.horzcat(*on_reference))])

@@ -91,38 +91,38 @@ class AugmentedModel:
         self.vehicle = build_stacked_error_coordinates(
             [space for _, space in parts[: len(model.states.variables)]]
         )
-        t, own, u, p = model.symbolic_arguments()
-        slope = ca.substitute(ca.jacobian(model.state_derivative(), own), p, model.parameter_values)
-        self._jacobian = ca.Function("A", [t, own, u], [slope])
+        t, state, u, p = model.symbolic_arguments()
+        slope = ca.substitute(ca.jacobian(model.state_derivative(), state), p, model.parameter_values)
+        self._jacobian = ca.Function("A", [t, state, u], [slope])
 
     def build_state_flow_function(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
 
-        def evaluate_dynamics(at: Any, own: Any, u: Any) -> Any:
-            return model.function(at, own, u, model.parameter_values)
+        def evaluate_dynamics(at: Any, vehicle_state: Any, u: Any) -> Any:
+            return model.function(at, vehicle_state, u, model.parameter_values)
 
-        own, rest = ca.vertsplit(x, [0, n, self.states.size])
-        after = take_runge_kutta_step(evaluate_dynamics, t, h, own, [u] * 3)
-        return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
+        vehicle_state, constant_states = ca.vertsplit(x, [0, n, self.states.size])
+        after = take_runge_kutta_step(evaluate_dynamics, t, h, vehicle_state, [u] * 3)
+        return ca.Function("flow", [t, x, u], [ca.vertcat(after, constant_states)])
 
     def discretize_error_dynamics(
         self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any
     ) -> tuple[Any, Any, Any]:
         """Return F (n_errors, n_errors) of a step h (s), and noise terms: P becomes F (P + early) F' + late."""
         n = self.model.states.size
-        own, end = x[:n], after[:n]
-        middle = 0.5 * (own + end)
+        start, end = x[:n], after[:n]
+        middle = 0.5 * (start + end)
         A = self._jacobian(t + h / 2, middle, u)
         last, vehicle = self.vehicle.build_state_difference_jacobian(end), self.vehicle
-        rest = ca.SX.eye(self.errors.size - vehicle.errors)
+        same = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        whole = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(own), rest)
+        full = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(start), same)
         change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
-        half = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(middle), rest)
-        return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
+        half = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(middle), same)
+        return full, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:
         """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
@@ -149,8 +149,8 @@ class AugmentedModel:
         if name in model.states:
             y = x[model.states.slice(name)]
         else:
-            here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
-            y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
+            values = ca.vertcat(t, x[: model.states.size], model.parameter_values)
+            y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), values)
         if channel.measurement.has_bias:
             y = channel.space.retraction(y, x[self.states.slice(channel.bias_state_name)])
         return ca.Function("now", [t, x], [y])
@@ -194,32 +194,32 @@ class AugmentedModel:
 
     def build_initial_augmented_state(self, t: float, x: Array) -> Array:
         """Return the initial augmented state (n_states,): zero bias, delay lines at the initial measurement."""
-        found = np.zeros(self.states.size)
-        found[: x.size] = x
+        initial = np.zeros(self.states.size)
+        initial[: x.size] = x
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                found[self.states.slice(channel.get_delayed_state_name(k))] = (
-                    self.build_undelayed_output_function(channel)(t, found).full()[:, 0]
+                initial[self.states.slice(channel.get_delayed_state_name(k))] = (
+                    self.build_undelayed_output_function(channel)(t, initial).full()[:, 0]
                 )
-        return found
+        return initial
 
 
 def _build_state_error_coordinates(model: Model, variable: Variable) -> Space:
     """Return the space of a state, with the model's own difference and retraction."""
     states, errors = model.states, model.errors
-    place, at = states.slice(variable.name), errors.slice(variable.name)
+    rows, error_rows = states.slice(variable.name), errors.slice(variable.name)
 
     def pad_variable_to_full_state(x: Any) -> Any:
-        return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
+        return ca.vertcat(ca.SX.zeros(rows.start), x, ca.SX.zeros(states.size - rows.stop))
 
     def compute_state_variable_error(x: Any, ref: Any) -> Any:
         return model.state_error_expression(pad_variable_to_full_state(x), pad_variable_to_full_state(ref))[
-            at
+            error_rows
         ]
 
     def retract_state_variable(ref: Any, e: Any) -> Any:
-        error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.retraction_expression(pad_variable_to_full_state(ref), error)[place]
+        error = ca.vertcat(ca.SX.zeros(error_rows.start), e, ca.SX.zeros(errors.size - error_rows.stop))
+        return model.retraction_expression(pad_variable_to_full_state(ref), error)[rows]
 
     return Space(
         variable.size, errors[variable.name].size, compute_state_variable_error, retract_state_variable

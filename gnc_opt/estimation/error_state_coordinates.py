@@ -38,15 +38,15 @@ class Space:
 
     def build_state_difference_jacobian(self, x: Any) -> Any:
         """Return D (errors, size) at an SX column x."""
-        own, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
-        slope = ca.jacobian(self.difference(own, reference), own)
-        return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
+        state, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
+        slope = ca.jacobian(self.difference(state, reference), state)
+        return ca.substitute(slope, ca.vertcat(state, reference), ca.vertcat(x, x))
 
     def build_state_retraction_jacobian(self, x: Any) -> Any:
         """Return R (size, errors) at an SX column x."""
-        own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
-        slope = ca.jacobian(self.retraction(own, error), error)
-        return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
+        state, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
+        slope = ca.jacobian(self.retraction(state, error), error)
+        return ca.substitute(slope, ca.vertcat(state, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
 
 
 def build_euclidean_error_coordinates(size: int) -> Space:
@@ -69,8 +69,8 @@ def build_stacked_error_coordinates(spaces: Sequence[Space]) -> Space:
 
 
 def _compute_cumulative_sums(numbers: Any) -> list[int]:
-    total, found = 0, []
+    total, sums = 0, []
     for number in numbers:
         total += number
-        found.append(total)
-    return found
+        sums.append(total)
+    return sums

@@ -107,8 +107,8 @@ class Estimator(StrictAttributes):
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the predicted states from memories (n_memory,) or (n_memory, n), for the times of the memories."""
-        own = self._select_estimator_memory_rows(memory)
-        return np.concatenate([own[self.memory.slice(f"{name}_hat")] for name in self.states.names])
+        rows = self._select_estimator_memory_rows(memory)
+        return np.concatenate([rows[self.memory.slice(f"{name}_hat")] for name in self.states.names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the state errors, (n_errors, n_errors), for each memory (n_memory,)."""
@@ -120,10 +120,10 @@ class Estimator(StrictAttributes):
         own = full[:states, :states]
         return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
-    def _select_estimator_memory_rows(self, given: ArrayLike) -> Array:
+    def _select_estimator_memory_rows(self, values: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, the first ones in the memory of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
-        memory = read_float_array(given, what)
+        memory = read_float_array(values, what)
         if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
             raise ArgumentError(f"{what} has the shape {memory.shape}: it has {self.memory.size} rows.")
         return memory[: self.memory.size]
@@ -223,13 +223,13 @@ def _combine_controller_with_estimator(
     size = estimator.memory.size
     t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
     r, z = kind.sym("r", controller.signals.size), kind.sym("z", size + controller.memory.size)
-    own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
-    x, after = estimator.update(t, y, own)
+    estimator_memory, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
+    x, after = estimator.update(t, y, estimator_memory)
     u, inner_after, *valid = bare(t, x[fed], r, inner)
     step = law_function(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *valid)
     x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
-    begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
-    return step, initial_state_function(t, y, r, begun)
+    initial = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
+    return step, initial_state_function(t, y, r, initial)
 
 
 def _find_variable_row_indices(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:

@@ -88,7 +88,7 @@ class SigmaRegression:
         sums, differences = [], []
         for i in range(source.errors):
             step = c * root[:, i]
-            plus, minus = (target.difference(f(source.retraction(x, way)), centre) for way in (step, -step))
+            plus, minus = (target.difference(f(source.retraction(x, move)), centre) for move in (step, -step))
             sums.append((plus + minus) / 2)
             differences.append((plus - minus) / (2 * c))
         bends, spread = ca.horzcat(*sums), ca.horzcat(*differences)
@@ -105,13 +105,13 @@ def factorise_semidefinite(P: Any) -> Any:
     n = P.shape[0]
     root = ca.SX.zeros(n, n)
     for j in range(n):
-        left = P[j, j] - ca.sumsqr(root[j, :j])
-        there = left > ROUNDING * P[j, j]
-        pivot = ca.sqrt(ca.if_else(there, left, 0))
+        pivot_square = P[j, j] - ca.sumsqr(root[j, :j])
+        valid = pivot_square > ROUNDING * P[j, j]
+        pivot = ca.sqrt(ca.if_else(valid, pivot_square, 0))
         root[j, j] = pivot
         for i in range(j + 1, n):
             root[i, j] = ca.if_else(
-                there, (P[i, j] - ca.dot(root[i, :j], root[j, :j])) / ca.if_else(there, pivot, 1), 0
+                valid, (P[i, j] - ca.dot(root[i, :j], root[j, :j])) / ca.if_else(valid, pivot, 1), 0
             )
     return root
 

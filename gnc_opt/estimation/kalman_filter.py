@@ -77,11 +77,11 @@ class SampleCount:
         )
 
     def is_measurement_valid(self, channel: MeasurementChannel, sample: Any) -> Any:
-        whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
+        is_finite = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return (
-            ca.logic_and(whole, self.is_measurement_due(channel))
+            ca.logic_and(is_finite, self.is_measurement_due(channel))
             if channel.has_steps_without_measurement
-            else whole
+            else is_finite
         )
 
     def count_and_gate_measurement(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
@@ -96,16 +96,16 @@ class SampleCount:
         self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
         self.entries[f"{name}_taken"] += taken
         if channel.has_steps_without_measurement:
-            left = self.entries[f"{name}_next"]
-            self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
+            remaining = self.entries[f"{name}_next"]
+            self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, remaining - 1)
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
         return taken
 
     def set_states_nan_after_dropout(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
-        lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
-        self.entries[LOST] = lost
-        return ca.if_else(lost < hold + 0.5, x, np.nan)
+        missing_steps = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
+        self.entries[LOST] = missing_steps
+        return ca.if_else(missing_steps < hold + 0.5, x, np.nan)
 
 
 COVARIANCE = "covariance"
@@ -205,15 +205,15 @@ class KalmanFilter:
                 view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0)
             )
             gated = channel.measurement.gate is not None
-            after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
+            after, updated, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.count_and_gate_measurement(channel, good, nis)
             error, P = (
                 (
                     _select_matrix_by_condition(taken, after, error),
-                    _select_matrix_by_condition(taken, found, P),
+                    _select_matrix_by_condition(taken, updated, P),
                 )
                 if gated
-                else (after, found)
+                else (after, updated)
             )
         x = augmented.space.retraction(x, error)
         estimate = tally.set_states_nan_after_dropout(x[: augmented.model.states.size], self.hold)
@@ -226,15 +226,15 @@ class KalmanFilter:
             observed, space = augmented.build_delayed_output_function(channel), channel.space
             slope = augmented.find_constant_measurement_jacobian(channel)
             if slope is None:
-                y, slope, left = self.linearization.fit_linear_model(
+                y, slope, remainder = self.linearization.fit_linear_model(
                     partial(observed, t), augmented.space, space, x, P
                 )
             else:
-                y, left = observed(t, x), ca.SX(space.errors, space.errors)
+                y, remainder = observed(t, x), ca.SX(space.errors, space.errors)
             noise = ca.SX(
                 ca.diag(ca.DM(channel.measurement.read_noise_per_component("sigma", space.errors) ** 2))
             )
-            root = factorise_semidefinite(noise + left)
+            root = factorise_semidefinite(noise + remainder)
             views.append(_LinearizedMeasurement(y, solve_triangular_left(root, slope), root))
         return views
 
@@ -286,14 +286,14 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
         nis += left_over**2 * information
         k = taken * information * g
         error = error + k * left_over
-        left = ca.tril2symm(ca.tril(P - k @ g.T))
+        reduced = ca.tril2symm(ca.tril(P - k @ g.T))
         if h.nnz() == 1:
             # without rounding, left h equals k; replacing it makes this column exactly zero
             (j,) = h.sparsity().row()
-            left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
-            P = _symmetrise_lower_triangle(left, j)
+            reduced[:, j] = ca.if_else(taken, information, 1) * P[:, j]
+            P = _symmetrise_lower_triangle(reduced, j)
         else:
-            P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
+            P = ca.tril2symm(ca.tril(reduced + (k - reduced @ h) @ k.T))
     return error, P, nis
 
 

@@ -156,20 +156,20 @@ class FilterDesign:
         if not np.isfinite(self.t0):
             raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
         _check_retraction_inverts_difference(model, self.x0)
-        given = measurements if isinstance(measurements, Sequence) else [measurements]
-        for each in given:
+        sensors = measurements if isinstance(measurements, Sequence) else [measurements]
+        for each in sensors:
             require_type(
                 each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)'
             )
-        if not given:
+        if not sensors:
             raise ArgumentError(f"'{name}' measures nothing: give at least one Measurement.")
-        names = [each.of for each in given]
+        names = [each.of for each in sensors]
         for of in names:
             if names.count(of) > 1:
                 raise ArgumentError(
                     f"'{name}' measures '{of}' twice: declare an output of the model for the second sensor."
                 )
-        self.augmented = AugmentedModel(model, given, self.dt)
+        self.augmented = AugmentedModel(model, sensors, self.dt)
         sigma0, process_noise = deviations
         read = _read_standard_deviations(model, sigma0, f"sigma0 of '{name}'")
         missing = [n for n in model.states.names if n not in sigma0]
@@ -292,8 +292,8 @@ class FilterDesign:
                 else direct
             )
         outputs = [F @ delays, F @ early @ F.T + late, ca.vertcat(*rows)]
-        found = ca.Function("linear", [x], outputs)(first)
-        matrices = [np.asarray(m.full()) for m in found]
+        values = ca.Function("linear", [x], outputs)(first)
+        matrices = [np.asarray(m.full()) for m in values]
         sigma = np.concatenate(
             [c.measurement.read_noise_per_component("sigma", c.space.errors) for c in augmented.channels]
         )
@@ -314,26 +314,26 @@ def _read_initial_filter_state(model: Model, x0: ArrayLike | Mapping[str, ArrayL
     return x
 
 
-def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Array:
+def _read_standard_deviations(model: Model, by_name: Deviations, what: str) -> Array:
     """Return standard deviations by name as (n_errors,); those left out are 0."""
-    require_type(given, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
-    found = np.zeros(model.errors.size)
-    for name, value in given.items():
+    require_type(by_name, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
+    deviations = np.zeros(model.errors.size)
+    for name, value in by_name.items():
         model.states.slice(name)
-        found[model.errors.slice(name)] = numbers = read_vector(
+        deviations[model.errors.slice(name)] = numbers = read_vector(
             value, model.errors[name].size, f"{what} for '{name}'", ArgumentError
         )
         if not np.all(np.isfinite(numbers) & (numbers >= 0)):
             raise ArgumentError(f"{what} for '{name}' is {numbers}: give finite numbers >= 0.")
-    return found
+    return deviations
 
 
 def _check_retraction_inverts_difference(model: Model, x0: Array) -> None:
     """Raise an error if a retraction is not the inverse of its difference, to first order at the initial state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
     there = model.state_error_expression(model.retraction_expression(x, e), x)
-    both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
-    value, slope = (np.asarray(m.full()) for m in both(x0, np.zeros(model.errors.size)))
+    value_and_slope = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
+    value, slope = (np.asarray(m.full()) for m in value_and_slope(x0, np.zeros(model.errors.size)))
     miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))
     bad = np.flatnonzero(~(miss <= EQUAL))
     if bad.size:

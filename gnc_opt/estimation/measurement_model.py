@@ -103,9 +103,9 @@ class Measurement:
             if not np.all(np.isfinite(numbers)) or not np.all(
                 numbers > 0 if name == "sigma" else numbers >= 0
             ):
-                least = "> 0" if name == "sigma" else ">= 0"
+                condition = "> 0" if name == "sigma" else ">= 0"
                 raise ArgumentError(
-                    f"the {name} of the measurement of '{self.of}' is {numbers}: give finite numbers {least}."
+                    f"the {name} of the measurement of '{self.of}' is {numbers}: give finite numbers {condition}."
                 )
         if self.period is not None:
             read_positive_number(self.period, f"the period of the measurement of '{self.of}'")

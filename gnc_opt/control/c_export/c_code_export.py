@@ -138,15 +138,15 @@ def export_c(
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
-    missed = measure_generated_code_error(controller, source, driver, samples, dt)
+    errors = measure_generated_code_error(controller, source, driver, samples, dt)
     header.write_text(
-        files.write_c_header(_format_generated_code_mismatch(np.size(samples[0]), missed)), encoding="ascii"
+        files.write_c_header(_format_generated_code_mismatch(np.size(samples[0]), errors)), encoding="ascii"
     )
-    return replace(code, command_error=missed)
+    return replace(code, command_error=errors)
 
 
-def _format_generated_code_mismatch(count: int, missed: Array) -> str:
-    by = ", ".join(f"{v:.2g}" for v in missed)
+def _format_generated_code_mismatch(count: int, errors: Array) -> str:
+    by = ", ".join(f"{v:.2g}" for v in errors)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
 
@@ -206,8 +206,8 @@ def measure_generated_code_error(
             raise GncOptError(f"{compiler} could not compile the flight code: {done.stderr.strip()[:500]}")
         lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, measured.T, strict=True)]
         call = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
-    found = np.array([[float(v) for v in line.split()] for line in call.stdout.splitlines()]).T
-    return np.asarray(np.max(np.abs(found - expected), axis=1))
+    commands = np.array([[float(v) for v in line.split()] for line in call.stdout.splitlines()]).T
+    return np.asarray(np.max(np.abs(commands - expected), axis=1))
 
 
 def _read_generated_code_test_samples(
@@ -252,16 +252,16 @@ class CSourceFiles:
     @property
     def max_operation_count(self) -> int:
         """Largest number of operations of a step: arithmetic, comparisons, calls."""
-        own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
-        return own + (0 if self.form.solver is None else self.form.solver.max_operation_count)
+        step_count = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
+        return step_count + (0 if self.form.solver is None else self.form.solver.max_operation_count)
 
     @property
     def stack_size_bytes(self) -> int:
         """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_float_count)
-        return int(self.numbers.float_size_bytes * (row + max(self.start.sz_w(), own)))
+        step_floats = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_float_count)
+        return int(self.numbers.float_size_bytes * (row + max(self.start.sz_w(), step_floats)))
 
     def write_c_header(self, remark: str = "") -> str:
         """Return the C header; ``remark`` is a comment at its top."""

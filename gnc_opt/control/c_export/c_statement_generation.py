@@ -152,18 +152,18 @@ def _write_qp_solver_call(
     (name,) = function.get_function()
     called = function.get_function(name)
     lines, arguments = ["{"], []
-    for kind, places, count, size in (
+    for kind, registers, count, size in (
         ("in", source, called.n_in(), called.nnz_in),
         ("out", target, called.n_out(), called.nnz_out),
     ):
-        left = list(places)
+        remaining = list(registers)
         for k in range(count):
-            own, left = left[: size(k)], left[size(k) :]
-            given = f" = {{{', '.join(f'w[{i}]' for i in own)}}}" if kind == "in" else ""
+            entries, remaining = remaining[: size(k)], remaining[size(k) :]
+            initialiser = f" = {{{', '.join(f'w[{i}]' for i in entries)}}}" if kind == "in" else ""
             const = "const " if kind == "in" else ""
-            lines.append(f"    {const}{numbers.type} {kind}_{k}[{size(k)}]{given};")
-            arguments.append((f"{kind}_{k}", own))
+            lines.append(f"    {const}{numbers.type} {kind}_{k}[{size(k)}]{initialiser};")
+            arguments.append((f"{kind}_{k}", entries))
     lines.append(f"    {name}({', '.join(array for array, _ in arguments)});")
-    for array, own in arguments[called.n_in() :]:
-        lines += [f"    w[{i}] = {array}[{j}];" for j, i in enumerate(own) if i >= 0]
+    for array, entries in arguments[called.n_in() :]:
+        lines += [f"    w[{i}] = {array}[{j}];" for j, i in enumerate(entries) if i >= 0]
     return [*lines, "}"]

@@ -58,15 +58,15 @@ def tabulate_references_and_gains(
 ) -> CScheduleTable:
     if controller.signals.size == 0:
         return CScheduleTable(0.0, np.zeros((1, 0)), controller.signals)
-    found = controller.span if span is None else span
-    if found is None:
+    interval = controller.span if span is None else span
+    if interval is None:
         raise ArgumentError(
             f"the schedule of '{controller.name}' has no known end: give export_c(..., span=(t_0, t_f))."
         )
-    ends = read_float_array(found, "the span of a schedule").ravel()
+    ends = read_float_array(interval, "the span of a schedule").reshape(-1)
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
         raise ArgumentError(
-            f"the span of a schedule is {quote_value(found)}: give finite times (t_0, t_f), t_0 <= t_f."
+            f"the span of a schedule is {quote_value(interval)}: give finite times (t_0, t_f), t_0 <= t_f."
         )
     first, last = (float(t) for t in ends)
     # tolerance of rounding: a row at the end itself belongs to the tail
