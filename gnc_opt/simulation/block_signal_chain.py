@@ -27,9 +27,9 @@ class ColumnLayout:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        out, at = {}, 0
+        out, first = {}, 0
         for name, n in self.parts:
-            out[name], at = slice(at, at + n), at + n
+            out[name], first = slice(first, first + n), first + n
         return out
 
     def split_vector_by_name(self, column: Any) -> dict[str, Any]:
@@ -88,11 +88,11 @@ def connect_block_chain(blocks: Sequence[Block], signals: Kinds, what: str) -> t
             )
         )
         if new is not None:
-            rest = {n: k for n, k in signals.items() if n not in on}
-            taken = [n for n in new if n in rest]
+            others = {n: k for n, k in signals.items() if n not in on}
+            taken = [n for n in new if n in others]
             if taken:
                 raise ArgumentError(f"'{block.name}' defines '{taken[0]}' again: choose another name.")
-            signals = {**rest, **new}
+            signals = {**others, **new}
     return links, signals
 
 
@@ -104,22 +104,22 @@ def stack_named_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any
 def replace_signals_by_block_outputs(
     signals: Mapping[str, Any], link: BlockLink, column: Any
 ) -> dict[str, Any]:
-    rest = dict(signals)
+    result = dict(signals)
     if tuple(link.outputs) != link.on:
-        rest = {n: s for n, s in signals.items() if n not in link.on}
-    at = 0
+        result = {n: s for n, s in signals.items() if n not in link.on}
+    first = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = column[at : at + size]
-        at += size
-    return rest
+        result[name] = column[first : first + size]
+        first += size
+    return result
 
 
 def replace_waveforms_by_block_output(
     waves: Mapping[str, ActuatorWaveform], link: BlockLink, wave: ActuatorWaveform
 ) -> dict[str, ActuatorWaveform]:
-    rest = {n: w for n, w in waves.items() if n not in link.on}
+    result = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave.apply_function_to_waveform(partial(slice_symbolic_rows, begin=at, end=at + size))
+        result[name] = wave.apply_function_to_waveform(partial(slice_symbolic_rows, begin=at, end=at + size))
         at += size
-    return rest
+    return result

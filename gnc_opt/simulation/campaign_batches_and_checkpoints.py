@@ -47,14 +47,14 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
         The folder belongs to another campaign, or one of its files is damaged.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    found = []
+    stored = []
     for path in sorted(folder.glob(_PATTERN)):
         part = _load_run_batch_file(path)
         _require_checkpoint_of_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_keep_first_runs_of_batch(part, count))
-    return found
+            stored.append(_keep_first_runs_of_batch(part, count))
+    return stored
 
 
 def store_run_batch_file(folder: Path, part: Campaign) -> None:
@@ -117,8 +117,8 @@ def merge_run_batches(
     states = concatenate_run_batch_arrays("states", loop.states.size)
     outcomes: list[Outcome] = []
     for part in batches:
-        lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
-        outcomes += lost if part.ending is None else part.ending.outcomes
+        lost_outcomes = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
+        outcomes += lost_outcomes if part.ending is None else part.ending.outcomes
     errors = np.full((loop.error_layout.size, states.shape[1]), np.nan)
     if states.shape[1]:
         errors = np.asarray(loop.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
@@ -131,12 +131,12 @@ def merge_run_batches(
     }
     arrays: dict[str, Any] = {name: concatenate_run_batch_arrays(name, size) for name, size in sizes.items()}
     if loop.quantities.size:
-        count, at = loop.quantities.size, select_quantity_sample_steps(loop.n_steps)
-        samples = concatenate_run_batch_arrays("samples", count * at.size).reshape(count, at.size, -1)
+        count, steps = loop.quantities.size, select_quantity_sample_steps(loop.n_steps)
+        samples = concatenate_run_batch_arrays("samples", count * steps.size).reshape(count, steps.size, -1)
         arrays |= {
             "sums": concatenate_run_batch_arrays("sums", 3 * count),
             "samples": samples,
-            "sample_times": loop.times[at],
+            "sample_times": loop.times[steps],
         }
     drawn = [p.parameters for p in batches if p.parameters is not None]
     return Campaign(

@@ -64,8 +64,8 @@ def compute_percentile_envelope(
     for k in np.flatnonzero(flying):
         some = samples[k][~np.isnan(samples[k])]
         for j, level in enumerate(levels):
-            found = estimate_percentile(some, level, confidence)
-            values[j, k], low[j, k], high[j, k] = found.value, found.low, found.high
+            percentile = estimate_percentile(some, level, confidence)
+            values[j, k], low[j, k], high[j, k] = percentile.value, percentile.low, percentile.high
     return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, flying, confidence)
 
 
@@ -74,14 +74,14 @@ def rank_dispersions(runs: Runs, values: Array) -> list[tuple[str, float, Array]
 
     It is Spearman's, of the value or ("|label|") of its distance from the median, if that is larger. NaN ranks last.
     """
-    found, ranks = [], scipy.stats.rankdata(np.where(np.isnan(values), np.inf, values))
+    effects, ranks = [], scipy.stats.rankdata(np.where(np.isnan(values), np.inf, values))
     for label, drawn in zip(runs.layouts["parameter"].labels, runs.parameters, strict=True):
         if np.ptp(ranks) and np.all(np.isfinite(drawn)) and np.ptp(drawn):
             pairs = {label: drawn, f"|{label}|": np.abs(drawn - np.median(drawn))}
             orders = {name: scipy.stats.rankdata(x) for name, x in pairs.items() if np.ptp(x)}
             both = [(name, float(np.corrcoef(x, ranks)[0, 1]), drawn) for name, x in orders.items()]
-            found.append(max(both, key=lambda effect: abs(effect[1])))
-    return sorted(found, key=lambda effect: -abs(effect[1]))
+            effects.append(max(both, key=lambda effect: abs(effect[1])))
+    return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
 COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
@@ -128,9 +128,9 @@ class Measures:
         costs = [f"{cost}({n})" for cost in ("effort", "energy") for n in controls]
         costs += [f"{cost}({n})" for cost in ("saturation", "variation") for n in commands]
         times = [f"time({n})" for n in self.layout("event").names]
-        way = [f"{kind}({n})" for n in self.layout("quantity").names for kind in KEPT]
-        again = REPLANS if self._runs.replans.any() else ()
-        return (*states, *self._runs.measured, *costs, *times, *way, *again)
+        extremes = [f"{kind}({n})" for n in self.layout("quantity").names for kind in KEPT]
+        replans = REPLANS if self._runs.replans.any() else ()
+        return (*states, *self._runs.measured, *costs, *times, *extremes, *replans)
 
     def compute_performance_measure(self, name: str) -> Array:
         """Return a measure of every run, (m,)."""
@@ -185,8 +185,8 @@ class Measures:
 
     def _parse_performance_measure_name(self, name: str) -> tuple[str, str]:
         """Return kind and subject of a measure: ``"effort(F)"`` is ("effort", "F"), ``"q"`` is ("error", "q")."""
-        kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
-        subject = rest[:-1] if rest.endswith(")") else ""
+        kind, _, argument = name.partition("(") if isinstance(name, str) else ("", "", "")
+        subject = argument[:-1] if argument.endswith(")") else ""
         states = self.layout("state")
         if isinstance(name, str) and name in states:
             kind, subject = "error", name

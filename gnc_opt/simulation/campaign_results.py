@@ -211,8 +211,8 @@ class Campaign(PrintableResult):
     @property
     def status_counts(self) -> dict[RunStatus, int]:
         """Number of runs by status."""
-        found = Counter(outcome.status for outcome in self.outcomes)
-        return {status: found[status] for status in RunStatus if found[status]}
+        counts = Counter(outcome.status for outcome in self.outcomes)
+        return {status: counts[status] for status in RunStatus if counts[status]}
 
     @property
     def event_totals(self) -> dict[str, int]:
@@ -243,14 +243,14 @@ class Campaign(PrintableResult):
         GncOptError
             The campaign was loaded from a file: use ``Campaign.load(path, compiled_loop=loop.compile(...))``.
         """
-        places = np.flatnonzero(self.indices == index)
-        if not places.size:
+        columns = np.flatnonzero(self.indices == index)
+        if not columns.size:
             raise ArgumentError(f"the campaign has no run {index}: its {len(self)} runs count from 0.")
         if self.compiled_loop is None:
             raise GncOptError(
                 "the campaign has no compiled loop: load it with compiled_loop=loop.compile(x0, tf=...)."
             )
-        return self.compiled_loop.run(self.parameters[:, places[0]], [self.seed, int(index)])
+        return self.compiled_loop.run(self.parameters[:, columns[0]], [self.seed, int(index)])
 
     # --- tables -------------------------------------------------------------------------------------------
 

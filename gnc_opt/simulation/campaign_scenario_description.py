@@ -35,8 +35,8 @@ def describe_campaign_scenario(
     rows = [("plant", plant.name, sizes), ("controller", control.name, f"control step {loop.dt:g} s")]
     for kind in ("sensors", "actuators", "disturbances", "events"):
         for part in getattr(loop, kind):
-            own = (v for v in parameters.variables if v.name.startswith(f"{part.name}."))
-            units = _TIMES | {v.name.partition(".")[2]: v.unit for v in own}
+            part_parameters = (v for v in parameters.variables if v.name.startswith(f"{part.name}."))
+            units = _TIMES | {v.name.partition(".")[2]: v.unit for v in part_parameters}
             rows.append((kind.removesuffix("s"), part.name, _describe_scenario_element(part, units)))
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
@@ -56,8 +56,8 @@ def describe_campaign_scenario(
 def _describe_scenario_element(part: Any, units: Mapping[str, str]) -> str:
     """Return "noise on q: standard deviation 0.05 m": class, place and the values that differ from its defaults."""
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
-    places = np.ravel(getattr(part, "on", None) or []).tolist()
-    kind += f" on {', '.join(map(str, places))}" * bool(places)
+    signals = np.ravel(getattr(part, "on", None) or []).tolist()
+    kind += f" on {', '.join(map(str, signals))}" * bool(signals)
     values = ", ".join(_describe_non_default_settings(part, units)) if is_dataclass(part) else ""
     return f"{kind}: {values}" if values else kind
 

@@ -65,10 +65,10 @@ def build_campaign_table_rows(
     titles = *(f"{100 * level:g} %" for level in levels), "largest", "limit", "pass rate"
     rows = [["measure", "unit", *titles]]
     for name in select_printed_performance_measures(campaign):
-        found = [campaign.percentile(name, level) for level in levels]
+        percentiles = [campaign.percentile(name, level) for level in levels]
         numbers = [
             _format_performance_statistic(p.value) + (_format_confidence_interval(p) if intervals else "")
-            for p in found
+            for p in percentiles
         ]
         limit, passed = "", ""
         if name in campaign.limits:
@@ -83,11 +83,11 @@ def build_campaign_table_rows(
     return rows
 
 
-def _format_confidence_interval(found: Percentile) -> str:
-    if not math.isfinite(found.low):
+def _format_confidence_interval(percentile: Percentile) -> str:
+    if not math.isfinite(percentile.low):
         return " (no interval)"
-    low, high = _format_performance_statistic(found.low), _format_performance_statistic(found.high)
-    return f" ({low} to {high})" if math.isfinite(found.high) else f" (above {low})"
+    low, high = _format_performance_statistic(percentile.low), _format_performance_statistic(percentile.high)
+    return f" ({low} to {high})" if math.isfinite(percentile.high) else f" (above {low})"
 
 
 def format_confidence_and_event_notes(campaign: CampaignStatistics) -> list[str]:
@@ -121,8 +121,8 @@ def _format_failure_causes(campaign: CampaignStatistics) -> list[str]:
     for cause, indices in ordered[:LISTED]:
         more = ", ..." if len(indices) > LISTED else ""
         lines.append(f"{len(indices)} {cause} (run {', '.join(map(str, indices[:LISTED]))}{more})")
-    rest = sum(len(indices) for _, indices in ordered[LISTED:])
-    return [*lines, f"{rest} for other causes"] if rest else lines
+    other_failures = sum(len(indices) for _, indices in ordered[LISTED:])
+    return [*lines, f"{other_failures} for other causes"] if other_failures else lines
 
 
 def _format_performance_statistic(value: float) -> str:

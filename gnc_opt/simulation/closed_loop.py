@@ -380,13 +380,13 @@ class ClosedLoop(PrintableResult):
         rows = np.empty((size, times.size))
         for first in range(0, times.size, MAX_STEPS_PER_CALL):  # limits the memory of the evaluation
             some = times[first : first + MAX_STEPS_PER_CALL]
-            found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
-            if found.shape != (size, some.size):
+            table = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
+            if table.shape != (size, some.size):
                 raise ArgumentError(
-                    f"the schedule of '{self.controller.name}' has the shape {found.shape} where ({size}, {some.size}) "
+                    f"the schedule of '{self.controller.name}' has the shape {table.shape} where ({size}, {some.size}) "
                     "is needed."
                 )
-            rows[:, first : first + MAX_STEPS_PER_CALL] = found
+            rows[:, first : first + MAX_STEPS_PER_CALL] = table
         return rows
 
     def _find_reference_signal_indices(self) -> Any:
@@ -409,18 +409,18 @@ class ClosedLoop(PrintableResult):
         return ca.Function("e", [x, x_ref], [self.plant.state_error_expression(x, x_ref)])
 
 
-def _read_closed_loop_blocks(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
-    parts = (given,) if isinstance(given, kind) else given
+def _read_closed_loop_blocks(value: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+    parts = (value,) if isinstance(value, kind) else value
     if not isinstance(parts, Iterable):
-        raise ArgumentError(f"the {name} of a closed loop are {quote_value(given)}: give a list; {remedy}.")
+        raise ArgumentError(f"the {name} of a closed loop are {quote_value(value)}: give a list; {remedy}.")
     return tuple(require_type(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
 
 
 def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
     """Return the largest permitted magnitudes of the states, (n_states,)."""
     largest = np.full(states.size, PLAUSIBLE)
-    given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
-    for name, size in given.items():
+    by_name = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
+    for name, size in by_name.items():
         if name not in states:
             raise unknown_name_error("state", name, "the plausible sizes of a closed loop", states.names)
         what = f"the plausible size of '{name}'"

@@ -159,9 +159,9 @@ class LoopWiring:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
         for link, step in self.blocks_and_step_lengths:
-            for name, (least, largest) in link.block.parameter_limits(step, self.dt).items():
+            for name, (smallest, largest) in link.block.parameter_limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
-                lower[place], upper[place] = least, largest
+                lower[place], upper[place] = smallest, largest
         return lower, upper
 
     @cached_property
@@ -207,8 +207,8 @@ def connect_closed_loop(
             raise ArgumentError(
                 f"'{block.name}' is a disturbance, not an actuator or a sensor: give it among the disturbances."
             )
-    every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
-    require_distinct_names([block.name for block in every], "blocks of the closed loop")
+    all_blocks = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
+    require_distinct_names([block.name for block in all_blocks], "blocks of the closed loop")
     actuators, applied = connect_block_chain(
         blocks.actuators, get_signal_sizes_and_units(controller.commands), "command"
     )
@@ -257,11 +257,11 @@ def _check_sensor_functions(wiring: LoopWiring) -> None:
 
 
 def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
-    begun = [link.block.name for link in wiring.actuators if link.block.starts_at_trim]
-    for name in wiring.controller.commands.names if begun else ():
+    at_trim = [link.block.name for link in wiring.actuators if link.block.starts_at_trim]
+    for name in wiring.controller.commands.names if at_trim else ():
         if f"{name}_ff" not in wiring.controller.signals:
             raise ArgumentError(
-                f"'{begun[0]}' is to start at trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
+                f"'{at_trim[0]}' is to start at trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
                 "give initial= as a number."
             )
 

@@ -174,21 +174,21 @@ class CompiledLoop(StrictAttributes):
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
-        known = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
+        inputs = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
         samples = np.full((self.quantities.size, self._sampling_step_indices.size, P.shape[1]), np.nan)
-        refused: dict[int, str] = {}
+        invalid_runs: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
-        again = False
+        is_filled = False
         for i, seed in enumerate(seeds):
             invalid = self.describe_invalid_parameters(P[:, i])
             if invalid:
-                refused[i] = invalid
+                invalid_runs[i] = invalid
                 continue
             course = self._create_replannable_reference()
-            for last, X, _ in self._simulate_run_segments(P[:, i], seed, known, course, again=again):
+            for last, X, _ in self._simulate_run_segments(P[:, i], seed, inputs, course, is_filled=is_filled):
                 self._record_quantities_at_step(samples[..., i], last, X[0])
-                final[i], again = X, True
+                final[i], is_filled = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._evaluate_reference_at_run_end(course, final[i, :1].T)[:, 0]
@@ -196,7 +196,7 @@ class CompiledLoop(StrictAttributes):
             followed = self._evaluate_reference_at_run_end(
                 self._create_replannable_reference(), final[:, 0].T
             )
-        ending = self._collect_final_states_of_runs(final, refused, followed, replans)
+        ending = self._collect_final_states_of_runs(final, invalid_runs, followed, replans)
         if not self.quantities.size:
             return ending
         record = self.kernel.state.split_vector_by_name(final[:, 0].T)["quantities"]
@@ -221,12 +221,12 @@ class CompiledLoop(StrictAttributes):
         invalid = self.describe_invalid_parameters(P)
         if invalid:
             raise ArgumentError(f"the run cannot be simulated: {invalid}.")
-        kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
+        logged_steps = np.append(np.arange(0, self.n_steps, every), self.n_steps)
         log: dict[str, list[Array]] = defaultdict(list)
-        known = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
+        inputs = np.empty((min(self.n_steps, MAX_STEPS_PER_CALL), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._create_replannable_reference(), self.n_steps
-        for end, X, logged in self._simulate_run_segments(P, seed, known, course, logged=True):
+        for end, X, logged in self._simulate_run_segments(P, seed, inputs, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
             parts, logs = (
@@ -253,7 +253,7 @@ class CompiledLoop(StrictAttributes):
         self._log_run_segment_signals(log, final, np.array([0]), followed)
         ending = self._collect_final_states_of_runs(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
-        times = np.append(self.times[kept[kept < last]], ended)
+        times = np.append(self.times[logged_steps[logged_steps < last]], ended)
         return Run(
             times=times,
             states=arrays["states"],
@@ -286,19 +286,19 @@ class CompiledLoop(StrictAttributes):
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
     def iterate_known_values(
-        self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
+        self, seed: Any, inputs: Array, course: ActiveReference | None = None, *, is_filled: bool = False
     ) -> Iterator[tuple[int, Array]]:
         """Yield, for each segment, its first step and the known and drawn values of its steps (n_steps, n_known).
 
-        The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
+        The values are written to ``inputs``; with ``is_filled`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
         followed = self._reference_schedule_by_step if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
-        numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
-        written = again and planned and len(self._run_segment_boundary_steps) == 2
+        numbers = self._create_normal_number_generator(seed, inputs.shape[1] - first_noise)
+        written = is_filled and planned and len(self._run_segment_boundary_steps) == 2
         for first, last in itertools.pairwise(self._run_segment_boundary_steps):
-            rows = known[: last - first]
+            rows = inputs[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
                 rows[:, 1:first_noise] = followed[first:last]
@@ -317,10 +317,10 @@ class CompiledLoop(StrictAttributes):
     @cached_property
     def _run_segment_boundary_steps(self) -> list[int]:
         """Steps that bound the segments of a run: every `MAX_STEPS_PER_CALL`, at re-plans and at sampling times."""
-        every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
-        starts = range(0, self.n_steps, every)
+        period = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
+        starts = range(0, self.n_steps, period)
         edges = {
-            *(k for s in starts for k in range(s, min(s + every, self.n_steps), MAX_STEPS_PER_CALL)),
+            *(k for s in starts for k in range(s, min(s + period, self.n_steps), MAX_STEPS_PER_CALL)),
             self.n_steps,
         }
         return sorted(edges | set(self._sampling_step_indices.tolist()))
@@ -356,12 +356,12 @@ class CompiledLoop(StrictAttributes):
             course.replan_reference_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _build_initial_closed_loop_states(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _build_initial_closed_loop_states(self, inputs: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
-        (X, C), (other, others) = (
-            folded.compute_initial_loop_state_and_constants(known, P) for folded in self._step_executors
+        (X, C), (companion, companion_constants) = (
+            folded.compute_initial_loop_state_and_constants(inputs, P) for folded in self._step_executors
         )
-        return np.stack([X, other]), (C, others)
+        return np.stack([X, companion]), (C, companion_constants)
 
     def _simulate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after a segment to ``final_values`` (2, n_state)."""
@@ -372,14 +372,14 @@ class CompiledLoop(StrictAttributes):
         self,
         P: Array,
         seed: Any,
-        known: Array,
+        inputs: Array,
         course: ActiveReference,
         *,
-        again: bool = False,
+        is_filled: bool = False,
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
         """Yield, for each segment, its last step, the final states (2, n_state), and the logged states and logs."""
-        for first, rows in self.iterate_known_values(seed, known, course, again=again):
+        for first, rows in self.iterate_known_values(seed, inputs, course, is_filled=is_filled):
             if first == 0:
                 X, C = self._build_initial_closed_loop_states(rows[0], P)
             else:
@@ -396,12 +396,12 @@ class CompiledLoop(StrictAttributes):
                 return
 
     def _log_run_segment_signals(
-        self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
+        self, log: dict[str, list[Array]], parts: dict[str, Array], columns: Any, followed: Array | None
     ) -> None:
-        """Log the states of a segment at its columns ``at``, and the reference there."""
-        states = parts["plant"][:, at]
+        """Log the states of a segment at its columns ``columns``, and the reference there."""
+        states = parts["plant"][:, columns]
         log["states"].append(states)
-        log["memory"].append(parts["memory"][:, at])
+        log["memory"].append(parts["memory"][:, columns])
         if self.followed_rows is not None:
             log["errors"].append(self._compute_tracking_errors(states, followed))
 
@@ -419,13 +419,13 @@ class CompiledLoop(StrictAttributes):
 
     def _evaluate_reference_at_run_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.interpolate_reference(
+        reference = course.interpolate_reference(
             self._find_run_end_times(self.kernel.state.split_vector_by_name(X))
         )
-        return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
+        return np.full((self.followed.size, X.shape[1]), np.nan) if reference is None else reference
 
     def _collect_final_states_of_runs(
-        self, ends: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
+        self, ends: Array, invalid_runs: dict[int, str], followed: Array, replans: Array | None = None
     ) -> FinalValues:
         """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
@@ -434,8 +434,8 @@ class CompiledLoop(StrictAttributes):
             self.kernel.state, final, companions, float(self.times[-1])
         )
         outcomes = tuple(
-            Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
-            if i in refused
+            Outcome(RunStatus.INVALID_PARAMETERS, invalid_runs[i])
+            if i in invalid_runs
             else self.classifier.classify_run_outcome(parts, i, assessed[i])
             for i in range(final.shape[1])
         )

@@ -47,14 +47,14 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
         The remaining actuators cannot produce every command; the message gives the direction and the singular value.
     """
     effects = read_effectiveness_matrix(matrix, failed, what)
-    left, sizes, _ = np.linalg.svd(effects)
+    u, sizes, _ = np.linalg.svd(effects)
     rank = int(np.sum(sizes > RANK * float(sizes[0])))
     if rank < effects.shape[0]:
-        least = float(sizes[rank]) if rank < sizes.size else 0.0
-        lost = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
+        smallest = float(sizes[rank]) if rank < sizes.size else 0.0
+        loss = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
         raise DesignError(
-            f"{what}: {effects.shape[1] - len(failed)} actuators{lost} span {rank} of {effects.shape[0]} directions, "
-            f"no output along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
+            f"{what}: {effects.shape[1] - len(failed)} actuators{loss} span {rank} of {effects.shape[0]} directions, "
+            f"no output along {np.round(u[:, -1], 4)} (singular value {smallest:.1e}): add actuators or command less."
         )
     inverse = np.asarray(np.linalg.pinv(effects))
     inverse[list(failed)] = 0.0
@@ -97,14 +97,14 @@ def minimise_actuator_effort(
     """
     effects = read_effectiveness_matrix(matrix, failed, what)
     columns = []
-    for i, unit in enumerate(sign * np.eye(len(effects))):
-        found = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
-        if not found.success:
+    for i, unit in enumerate(sign * np.eye(effects.shape[0])):
+        result = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
+        if not result.success:
             raise DesignError(
                 f"{what} cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} with outputs "
                 ">= 0: add or turn thrusters, or reduce the command."
             )
-        columns.append(found.x)
+        columns.append(result.x)
     return np.stack(columns, axis=1)
 
 
@@ -117,8 +117,8 @@ def minimise_peak_along_null_vector(u: Any, n: Array) -> Any:
             if abs(slope) < RANK:
                 continue
             shift = -(u[i] - sign * u[j]) / slope
-            here = ca.mmax(ca.fabs(u + shift * n))
-            best, peak = ca.if_else(here < peak, shift, best), ca.if_else(here < peak, here, peak)
+            value = ca.mmax(ca.fabs(u + shift * n))
+            best, peak = ca.if_else(value < peak, shift, best), ca.if_else(value < peak, value, peak)
     return best
 
 
@@ -365,21 +365,21 @@ class WheelArray(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         h_w = self._get_wheel_momenta(tick, state)
-        wanted = pseudo_inverse(self.axes, self.failed) @ signal
+        torques = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else find_null_space_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
-            wanted = wanted + minimise_peak_along_null_vector(wanted, n) * n
+            torques = torques + minimise_peak_along_null_vector(torques, n) * n
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
-            shift = -minimise_peak_along_null_vector(h_w - wanted * tick.h, n) / tick.h
-            wanted = wanted + _limit_null_space_torque(shift, wanted, n, p["max_torque"]) * n
-        torque = clip_and_propagate_nan(wanted, -p["max_torque"], p["max_torque"])
+            shift = -minimise_peak_along_null_vector(h_w - torques * tick.h, n) / tick.h
+            torques = torques + _limit_null_space_torque(shift, torques, n, p["max_torque"]) * n
+        torque = clip_and_propagate_nan(torques, -p["max_torque"], p["max_torque"])
         torque = clip_and_propagate_nan(
             torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h
         )
         # beyond its momentum limit a wheel is decelerated within its torque limit
         torque = clip_and_propagate_nan(torque, -p["max_torque"], p["max_torque"])
-        saturated = is_changed_by_clipping(torque, wanted)
+        saturated = is_changed_by_clipping(torque, torques)
         torque = torque * p["health"]
         after = state if self.momenta is not None else h_w - torque * tick.h
         return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)

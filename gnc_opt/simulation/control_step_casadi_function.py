@@ -34,8 +34,8 @@ def build_step_with_event_location(step: ControlStep, act: Any) -> Any:
 def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
     """Return the step, inactive after an event has ended the run, with ``log`` as second output."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    rest = ca.Function("rest", [x, w, c], [x, log])
-    either = ca.Function.if_else("either", rest, step)
+    frozen = ca.Function("rest", [x, w, c], [x, log])
+    either = ca.Function.if_else("either", frozen, step)
     after = either(control_step.state.split_vector_by_name(x)["stop"] > 0.5, x, w, c)
     return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())
 
@@ -52,12 +52,12 @@ class _ControlStepWithEvents:
     def build_event_step_function(self, act: Any) -> Any:
         """Return ``act``, repeated with event location if it contains an event."""
         inputs = [ca.MX.sym(f"i{i}", act.size1_in(i)) for i in range(act.n_in())]
-        after, log, found = act(*inputs)
+        after, log, event_found = act(*inputs)
         results = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
         without_event = ca.Function("without_event", [*inputs, *results], results)
         with_event = ca.Function("with_event", [*inputs, *results], self._propagate_control_step(*inputs))
         either = ca.Function.if_else("either", with_event, without_event)
-        return ca.Function("act", inputs, either(found, *inputs, after, log))
+        return ca.Function("act", inputs, either(event_found, *inputs, after, log))
 
     def _propagate_control_step(self, X: Any, w: Any, C: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
@@ -109,9 +109,9 @@ class _ControlStepWithEvents:
         detector = self.base.create_event_detector({"armed": armed}, begin)
         extremes = self.base.create_quantity_extreme_tracker(waves)
         final = self.base.integrate_plant(t, x, waves, state, (begin, end), (detector, extremes))
-        found = [detector.armed, detector.y, detector.slope, detector.found, detector.first, detector.last]
-        found += [detector.lost, detector.lost_inside, extremes.record]
-        return ca.Function("propagation", [x, armed, begin, end, *context], [final, *found])
+        detected = [detector.armed, detector.y, detector.slope, detector.found, detector.first, detector.last]
+        detected += [detector.lost, detector.lost_inside, extremes.record]
+        return ca.Function("propagation", [x, armed, begin, end, *context], [final, *detected])
 
     def _build_record_function(
         self,
@@ -293,7 +293,7 @@ class _KernelBuilder(ControlStep):
         z = ca.SX.sym("z", wiring.controller.memory.size)
         state, w = self.state.split_vector_by_name(column_x), self.known.split_vector_by_name(column)
         new = self.update_disturbance_memories(state, w)
-        mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
+        mean, event_found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
             tick = self.build_minor_step_time_and_state(i, w, new)
             waves, saturated = self.evaluate_actuator_blocks(tick, u, new, w, i)
@@ -306,7 +306,7 @@ class _KernelBuilder(ControlStep):
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
             new["quantities"] = merge_extremes_and_integrals(new["quantities"], extremes.record)
             if watch is not None:
-                new["armed"], found = watch.armed, ca.fmax(found, watch.found)
+                new["armed"], event_found = watch.armed, ca.fmax(event_found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
             self.accumulate_control_effort(new, applied, saturated, self.h)
@@ -314,7 +314,7 @@ class _KernelBuilder(ControlStep):
             new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z
         )
         # values derived from P only are computed once per run
-        results = [self.state.stack_vector_by_name(new), log, found]
+        results = [self.state.stack_vector_by_name(new), log, event_found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
         constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)
         act = ca.Function("act", [column_x, column, names, y, u, z], outputs)

@@ -157,8 +157,8 @@ class ControlStep:
             waves = replace_waveforms_by_block_output(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
-        nothing = {n: ActuatorWaveform(ca.SX.zeros(controls[n].size)) for n in controls.names}
-        return [waves.get(n, nothing[n]) for n in controls.names], stack_named_signals(
+        zeros = {n: ActuatorWaveform(ca.SX.zeros(controls[n].size)) for n in controls.names}
+        return [waves.get(n, zeros[n]) for n in controls.names], stack_named_signals(
             saturated, commands.names
         )
 
@@ -277,8 +277,8 @@ class ControlStep:
         n = len(self.wiring.quantities)
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
         self._record_first_nan_divergence_alarm(new, state, t, ca.vertcat(*seen), z)
-        nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
-        return self.log.stack_vector_by_name({**nothing, **logged})
+        zeros = {name: ca.SX.zeros(size) for name, size in self.log.parts}
+        return self.log.stack_vector_by_name({**zeros, **logged})
 
     def create_quantity_extreme_tracker(self, waves: Sequence[ActuatorWaveform]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2
@@ -295,8 +295,8 @@ class ControlStep:
         fault = ca.SX(0)
         for i in reversed(range(seen.shape[0])):
             fault = ca.if_else(ca.fabs(seen[i]) < ca.inf, fault, i + 1.0)
-        places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
-        flags = [z[k] for place in places for k in range(place.start, place.stop)]
+        alarm_slices = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
+        flags = [z[k] for rows in alarm_slices for k in range(rows.start, rows.stop)]
         alarm = ca.SX(0)
         for i, flag in reversed(list(enumerate(flags))):
             # not "!= 0": that is false for NaN in some virtual machines
@@ -305,9 +305,9 @@ class ControlStep:
         for i, largest in reversed(list(enumerate(wiring.divergence_limits))):
             divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)
         for name, code in (("fault", fault), ("divergence", divergence), ("alarm", alarm)):
-            fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
-            new[name] = ca.if_else(fresh, code, state[name])
-            new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+            is_first = ca.logic_and(state[name] < 0.5, code > 0.5)
+            new[name] = ca.if_else(is_first, code, state[name])
+            new[f"{name} time"] = ca.if_else(is_first, t, state[f"{name} time"])
 
 
 def select_monitored_measurements(wiring: LoopWiring, measured: Any) -> tuple[Any, ...]:
@@ -341,14 +341,14 @@ def _mark_saturated_components(
     """Mark saturated components: the same component, or all input components of the block."""
     if step.saturated is None:
         return
-    at = 0
+    first = 0
     sizes = {n: saturated[n].shape[0] for n in saturated}
     straight = link.size == step.saturated.shape[0] and all(n in sizes for n in link.on)
     if straight:
         for name in link.on:
-            part = step.saturated[at : at + sizes[name]]
+            part = step.saturated[first : first + sizes[name]]
             saturated[name] = ca.fmax(saturated[name], part)
-            at += sizes[name]
+            first += sizes[name]
         return
     any_at_all = ca.mmax(step.saturated)
     for name in set().union(*(origin[n] for n in link.on)):

@@ -94,13 +94,13 @@ class Normal(Dispersion):
         )
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        kept = 1.0
+        share = 1.0
         if self.truncate is not None:  # variance of a standard normal number between -b and b
             b = self.truncate
-            kept = 1 - 2 * b * np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi) / (1 - 2 * scipy.special.ndtr(-b))
+            share = 1 - 2 * b * np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi) / (1 - 2 * scipy.special.ndtr(-b))
         unit = nominal if self.relative else np.ones(nominal.size)
         std = np.asarray(self.std, dtype=float) * unit
-        return np.asarray(self.mean, dtype=float) * unit, np.diag(kept * std**2)
+        return np.asarray(self.mean, dtype=float) * unit, np.diag(share * std**2)
 
 
 @dataclass(frozen=True)
@@ -279,9 +279,9 @@ class RandomRotation(Dispersion):
         half = 0.5 * _draw_deviation_magnitude(self.angle, generator)
         turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_random_unit_vector(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
-        turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
+        rotated = np.asarray(quaternion_product(attitude, turn), dtype=float)
         # of the two parameter sets, the one of the nominal attitude
-        return turned if nominal.size == 4 else turned[1:] / (1 + turned[0])
+        return rotated if nominal.size == 4 else rotated[1:] / (1 + rotated[0])
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         """Return mean and covariance to first order in the angle."""

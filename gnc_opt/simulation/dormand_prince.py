@@ -95,14 +95,14 @@ def _build_runge_kutta_stage_function(row: tuple[float, ...], n: int) -> Any:
 def _build_dense_output_function(n: int) -> Any:
     """Return the function of the state (n,) and its rate within a step from nu, x, h and the rates of all stages."""
     nu, x, h = ca.SX.sym("nu"), ca.SX.sym("x", n), ca.SX.sym("h")
-    k, rest = [ca.SX.sym(f"k{i}", n) for i in range(len(STAGES))], 1 - nu
+    k, remaining = [ca.SX.sym(f"k{i}", n) for i in range(len(STAGES))], 1 - nu
     mean = _combine_runge_kutta_stages(STAGES[-1], k[:-1])
     first = k[0] - mean
     last = mean - k[-1] - first
     bubble = _combine_runge_kutta_stages(DENSE_WEIGHTS, k)
-    inner = last + rest * bubble
+    inner = last + remaining * bubble
     middle, middle_slope = first + nu * inner, inner - nu * bubble
-    outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
+    outer, outer_slope = mean + remaining * middle, remaining * middle_slope - middle
     return ca.Function("inside", [nu, x, h, *k], [x + h * (nu * outer), outer + nu * outer_slope])
 
 

@@ -76,22 +76,22 @@ RICHARDSON_FACTOR = 4 / 3
 
 
 def estimate_integration_errors(
-    places: ColumnLayout, final: Array, companions: Array, end: float
+    layout: ColumnLayout, final: Array, companions: Array, end: float
 ) -> tuple[Array, Array]:
     """Return the relative errors (n,) of runs, relative to max(1, \\|x\\|): of all entries, and of the states only."""
-    one, two = places.split_vector_by_name(final), places.split_vector_by_name(companions)
+    one, two = layout.split_vector_by_name(final), layout.split_vector_by_name(companions)
     x, other = one["plant"], two["plant"]
     if "stop" not in one:
         errors = RICHARDSON_FACTOR * _compute_final_state_distances(x, other)
         return errors, errors
     t, late = (np.where(parts["stop"] > 0, parts["stop time"], end) for parts in (one, two))
-    moved = np.where(one["stop"] > 0, two["stop rate"] * (late - t), 0.0)
+    drift = np.where(one["stop"] > 0, two["stop rate"] * (late - t), 0.0)
     errors = RICHARDSON_FACTOR * _compute_final_state_distances(np.vstack([x, t]), np.vstack([other, late]))
-    return errors, np.fmin(errors, RICHARDSON_FACTOR * _compute_final_state_distances(x, other - moved))
+    return errors, np.fmin(errors, RICHARDSON_FACTOR * _compute_final_state_distances(x, other - drift))
 
 
 def _compute_final_state_distances(one: Array, two: Array) -> Array:
     """Return the distances between columns (n,); infinite if only the second is not finite."""
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
-    return np.asarray(np.where(np.isnan(apart) & np.isfinite(one).all(axis=0), np.inf, apart))
+        distances = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
+    return np.asarray(np.where(np.isnan(distances) & np.isfinite(one).all(axis=0), np.inf, distances))

@@ -50,9 +50,9 @@ class ActuatorWaveform:
 
     def apply_function_to_waveform(self, function: Callable[[Any], Any]) -> ActuatorWaveform:
         """Return the wave after a memoryless block."""
-        at = self.at
+        value_at = self.at
         return ActuatorWaveform(
-            function(self.mean), None if at is None else lambda decay: function(at(decay))
+            function(self.mean), None if value_at is None else lambda decay: function(value_at(decay))
         )
 
     def sample_runge_kutta_stage_inputs(self, begin: Any, sigma: Any) -> Input:
@@ -97,12 +97,12 @@ def project_exponential_on_legendre(xi: Any) -> list[Any]:
     sinh, cosh = 0.5 * (1 - decayed**2), 0.5 * (1 + decayed**2)  # scaled by exp(-xi)
     bessel = [sinh / xi, (xi * cosh - sinh) / square]
     bessel.append(bessel[0] - 3 / xi * bessel[1])
-    found, power, odd = [], ca.SX.ones(xi.shape[0]), 1.0
+    coefficients, power, odd = [], ca.SX.ones(xi.shape[0]), 1.0
     for j, closed in enumerate(bessel):
         total = ca.SX.ones(xi.shape[0])
         for k in range(6, 0, -1):
             total = 1 + square / (2 * k * (2 * j + 2 * k + 1)) * total
         series = decayed * power / odd * total
-        found.append((2 * j + 1) * (-1) ** j * ca.if_else(small, series, closed))
+        coefficients.append((2 * j + 1) * (-1) ** j * ca.if_else(small, series, closed))
         power, odd = power * xi, odd * (2 * j + 3)
-    return found
+    return coefficients

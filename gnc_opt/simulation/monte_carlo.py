@@ -269,7 +269,7 @@ def _require_any_completed_run(batches: Sequence[RunBatch]) -> None:
 
 
 def _regenerate_dispersed_parameters(batches: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
-    found = []
+    completed = []
     for part in batches:
         P = part.parameters
         if P is None:
@@ -277,5 +277,5 @@ def _regenerate_dispersed_parameters(batches: Sequence[RunBatch], mission: Campa
                 P = mission.draw_dispersed_parameters(part.batch)
             except Exception:  # the draw itself is what failed
                 P = np.full((mission.compiled_loop.layout.size, len(part.batch)), np.nan)
-        found.append(replace(part, parameters=P))
-    return found
+        completed.append(replace(part, parameters=P))
+    return completed

@@ -139,13 +139,13 @@ def _build_interpolated_maximum_function(count: int, n: int) -> Any:
     highest = y[0]
     for each in y[1:]:
         highest = ca.fmax(highest, each)
-    bends = [2 * y[i] - y[i - 1] - y[i + 1] for i in range(1, len(y) - 1)]
-    for k, bend in enumerate(bends):
+    curvatures = [2 * y[i] - y[i - 1] - y[i + 1] for i in range(1, len(y) - 1)]
+    for k, curvature in enumerate(curvatures):
         rise = y[k + 2] - y[k]
-        vertex = y[k + 1] + rise**2 / (8 * bend)
-        smooth = ca.logic_and(bend > 0, ca.fabs(rise) <= 2 * bend)
-        for other in bends[max(k - 1, 0) : k + 2]:
-            smooth = ca.logic_and(smooth, ca.fabs(other - bend) <= 0.5 * bend)
+        vertex = y[k + 1] + rise**2 / (8 * curvature)
+        smooth = ca.logic_and(curvature > 0, ca.fabs(rise) <= 2 * curvature)
+        for other in curvatures[max(k - 1, 0) : k + 2]:
+            smooth = ca.logic_and(smooth, ca.fabs(other - curvature) <= 0.5 * curvature)
         highest = ca.if_else(smooth, ca.fmax(highest, vertex), highest)
     return ca.Function("maximum", y, [highest])
 

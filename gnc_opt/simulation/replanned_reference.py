@@ -91,7 +91,7 @@ class PlanUpdater(Protocol):
     def predict_state(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
 
-    def replan_from_state(self, begin: float, x: Array, near: Any) -> Any:
+    def replan_from_state(self, begin: float, x: Array, known_plan: Any) -> Any:
         """Return the plan from a time (s) and a state (n_states,), warm-started from a known plan."""
 
     def evaluate_plan_schedule(self, plan: Any, times: Array, dt: float, size: int) -> Array:
@@ -144,7 +144,7 @@ class ActiveReference:
     def _replan_remaining_trajectory(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
         """Re-plan the steps from ``first`` on; the old plan is kept if the solve fails."""
         t, begin = float(self.times[step]), float(self.times[first])
-        begun = time.perf_counter()
+        solve_start = time.perf_counter()
         try:
             if not np.isfinite(x).all():
                 raise GncOptError("the estimated state is not a number")
@@ -153,8 +153,8 @@ class ActiveReference:
             rows = planner.evaluate_plan_schedule(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # any failure of a solver or design keeps the old plan
-            return Replan(t, begin, time.perf_counter() - begun, format_exception(error))
+            return Replan(t, begin, time.perf_counter() - solve_start, format_exception(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path
-        way, cost = str(plan.provenance.get("way", "")), float(plan.objective)
-        return Replan(t, begin, time.perf_counter() - begun, "", path.final_time, cost, way)
+        method, cost = str(plan.provenance.get("way", "")), float(plan.objective)
+        return Replan(t, begin, time.perf_counter() - solve_start, "", path.final_time, cost, method)

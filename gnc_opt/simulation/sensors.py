@@ -169,10 +169,10 @@ class SensorOutage(Block):
         if self.where is not None:
             states = ", ".join(tick.x)
             remedy = f"write a function of the time and of the plant's states by name, {states}"
-            found = evaluate_user_function_as_column(
+            condition = evaluate_user_function_as_column(
                 self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy
             )
-            out = ca.logic_and(out, ca.logic_not(found <= 0))  # NaN counts as an outage
+            out = ca.logic_and(out, ca.logic_not(condition <= 0))  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
 
 

@@ -151,5 +151,5 @@ class Outcome:
         return self.status is RunStatus.OK
 
     def __str__(self) -> str:
-        at = f" at {self.time:.6g} s" if self.time == self.time else ""
-        return f"{self.status.value}: {self.what}{at}" if self.what else self.status.value
+        when = f" at {self.time:.6g} s" if self.time == self.time else ""
+        return f"{self.status.value}: {self.what}{when}" if self.what else self.status.value

@@ -51,13 +51,13 @@ def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: 
     If that exceeds the limit, the number for `_MODE_MAX_ERROR`; runs that excite the modes then refine it.
     """
     modes = np.asarray(modes, dtype=complex)
-    for wanted, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
+    for required, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
         h, count = length / n, duration * n / length
         fade = -np.expm1(np.minimum(modes.real, 0.0) * h)
         lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / replace_zeros_by_one(fade), count)
         growth = np.exp(modes * h)
         error = np.abs(np.polyval(_STABILITY, modes * h) - growth) / np.maximum(1.0, np.abs(growth))
-        if np.max(error * lasting, initial=0.0) <= wanted:
+        if np.max(error * lasting, initial=0.0) <= required:
             return n
     return 1
 

@@ -214,21 +214,21 @@ def _is_not_nan_expression(value: Any) -> Any:
 
 def _read_zero_crossing_condition(event: Event, plant: Model) -> Any:
     """Return the expression of an event; raise an error if it cannot have a zero crossing."""
-    found, what = (
+    condition, what = (
         _read_event_expression(event, event.expression, "the expression", plant),
         "the expression of event",
     )
     t, x, _, _ = plant.symbolic_arguments()
-    if not ca.depends_on(found, ca.vertcat(t, x)):
+    if not ca.depends_on(condition, ca.vertcat(t, x)):
         raise ArgumentError(
             f"{what} '{event.name}' depends neither on a state nor on the time, and never passes through zero: "
             "write a function of a state, for example the altitude."
         )
-    if ca.jacobian(found, ca.vertcat(t, x)).is_zero():
+    if ca.jacobian(condition, ca.vertcat(t, x)).is_zero():
         raise ArgumentError(
             f"{what} '{event.name}' is discontinuous at zero: write h - 0.5 with a direction, not h < 0.5."
         )
-    return found
+    return condition
 
 
 def _read_event_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:

@@ -129,11 +129,11 @@ class FixedArcs:
 
 
 def read_arc_kinds(
-    given: ArrayLike, labels: tuple[str, ...], limits: Interval, what: str, where: str
+    values: ArrayLike, labels: tuple[str, ...], limits: Interval, what: str, where: str
 ) -> Kinds:
     """Return kinds (n, K) from kinds or signs (-1 lower limit, 0 interior, +1 upper limit); see `Phase.hold`."""
     try:
-        kinds = np.atleast_2d(np.asarray(given, dtype=object))
+        kinds = np.atleast_2d(np.asarray(values, dtype=object))
     except (TypeError, ValueError):  # symbols, or objects without conversion
         kinds = np.empty((0, 0), dtype=object)
     read = [[_read_arc_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
@@ -141,7 +141,7 @@ def read_arc_kinds(
         names = ", ".join(kind.name for kind in PRESCRIBABLE_KINDS)
         raise ProblemError(
             f"arcs of {where} must be -1, 0 and +1, or {names} of ArcKind, in an array of {len(labels)} rows ({what} "
-            f"{', '.join(labels)}) and one column per segment; got {quote_value(given)} of shape {kinds.shape}."
+            f"{', '.join(labels)}) and one column per segment; got {quote_value(values)} of shape {kinds.shape}."
         )
     for limit, ends in ((ArcKind.LOWER, limits.lower), (ArcKind.UPPER, limits.upper)):
         for label, row, end in zip(labels, read, ends, strict=True):

@@ -56,8 +56,8 @@ class UnboundedAngles:
         for i in np.flatnonzero(self.unbounded_controls):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
             beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
-            above, below = (np.maximum(turns, 0.0) for turns in beyond)
-            u[i] = np.clip(u[i] + period * (below - above), low, high)
+            turns_above, turns_below = (np.maximum(turns, 0.0) for turns in beyond)
+            u[i] = np.clip(u[i] + period * (turns_below - turns_above), low, high)
         return u
 
 
@@ -90,8 +90,8 @@ class AngleProbe:
 
 def is_invariant_under_full_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
     """Return whether values (n, N) are equal after a turn but differ elsewhere; NaN is ignored."""
-    known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
-    here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))
+    finite = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
+    here, turned, elsewhere = (np.where(finite, values, 0.0) for values in (here, turned, elsewhere))
     changes = np.max(np.abs(elsewhere - here), axis=1)
     changed = np.max(np.abs(turned - here), axis=1)
     rounding = ROUNDING * np.max(np.abs(here), axis=1)

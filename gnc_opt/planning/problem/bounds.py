@@ -32,8 +32,8 @@ def replace_bounds_by_name(
 
 
 def split_bounds_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
-    places = ((name, layout.slice(name)) for name in layout.names)
-    return {name: box.select_components(place) for name, place in places}
+    slices = ((name, layout.slice(name)) for name in layout.names)
+    return {name: box.select_components(rows) for name, rows in slices}
 
 
 def stack_named_bounds(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
@@ -158,9 +158,9 @@ def unbounded_interval(size: int) -> Interval:
 
 
 def stack_intervals(boxes: Iterable[Interval]) -> Interval:
-    every = [unbounded_interval(0), *boxes]
+    intervals = [unbounded_interval(0), *boxes]
     return Interval(
-        np.concatenate([box.lower for box in every]), np.concatenate([box.upper for box in every])
+        np.concatenate([box.lower for box in intervals]), np.concatenate([box.upper for box in intervals])
     )
 
 
@@ -200,11 +200,11 @@ def read_lower_and_upper_limits(lower: Any, upper: Any, size: int, what: str) ->
     return check_interval_not_empty(Interval(low, high), what)
 
 
-def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
+def _parse_limit(value: Any, unlimited: float, size: int, what: str) -> Array:
     if value is None:
-        value = none
+        value = unlimited
     elif isinstance(value, (list, tuple)):
-        value = [none if entry is None else entry for entry in value]
+        value = [unlimited if entry is None else entry for entry in value]
     return read_vector(value, size, what)
 
 

@@ -75,15 +75,15 @@ def _read_comparison_constraint(name: str, value: Any, what: str) -> Constraint:
             remedy = "write all of its rows with <=, >= or =="
             raise ProblemError(f"{what} has a row that is neither an inequality nor an equation: {remedy}.")
         left, right = row.dep(0), row.dep(1)
-        equal = row.op() == ca.OP_EQ
+        is_equation = row.op() == ca.OP_EQ
         if right.is_constant():
             rows.append(left)
-            ends.append((float(right) if equal else -np.inf, float(right)))
+            ends.append((float(right) if is_equation else -np.inf, float(right)))
         elif left.is_constant():
             rows.append(right)
-            ends.append((float(left), float(left) if equal else np.inf))
+            ends.append((float(left), float(left) if is_equation else np.inf))
         else:
             rows.append(left - right)
-            ends.append((0.0 if equal else -np.inf, 0.0))
+            ends.append((0.0 if is_equation else -np.inf, 0.0))
     lower, upper = np.array(ends).T
     return Constraint(name, ca.vertcat(*rows), read_lower_and_upper_limits(lower, upper, len(rows), what))

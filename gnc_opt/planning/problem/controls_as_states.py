@@ -70,9 +70,9 @@ def limit_control_rates(phase: MutablePhase, ranges: Mapping[str, Any]) -> None:
 def make_polynomial_controls(phase: MutablePhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
     _require_at_least_one_control_name(phase, degrees, "polynomials(u=3)")
-    for name, given in degrees.items():
+    for name, value in degrees.items():
         symbol = _get_control_symbol(phase, name, "polynomials")
-        degree = read_integer(given, f"the degree of control '{name}' in {phase.label}", 0, ProblemError)
+        degree = read_integer(value, f"the degree of control '{name}' in {phase.label}", 0, ProblemError)
         v = symbol.variable
         phase.own_states |= {name, f"{name}_coefficients"}
         if degree == 0:
@@ -100,12 +100,12 @@ def add_elapsed_fraction_state(phase: MutablePhase) -> Any:
     return phase.model.symbol(FRACTION)
 
 
-def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
-    return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
+def _evaluate_polynomial(polynomial: Any, x: Any) -> Any:
+    return sum((float(c) * x**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _require_at_least_one_control_name(phase: MutablePhase, given: Mapping[str, Any], example: str) -> None:
-    if not given:
+def _require_at_least_one_control_name(phase: MutablePhase, by_name: Mapping[str, Any], example: str) -> None:
+    if not by_name:
         name = example.partition("(")[0]
         raise ProblemError(f"{name}() of {phase.label} names no control: write {example}.")
 
@@ -113,10 +113,10 @@ def _require_at_least_one_control_name(phase: MutablePhase, given: Mapping[str, 
 def _get_control_symbol(phase: MutablePhase, name: str, what: str) -> Symbol:
     layout, composed = phase.model.controls, phase.model.composed_controls
     if name in phase.model.states:
-        again = f"{name}_rate" in phase.model.controls or f"{name}_coefficients" in phase.own_states
+        is_converted = f"{name}_rate" in phase.model.controls or f"{name}_coefficients" in phase.own_states
         why = (
             "has rates or a degree already: state them once"
-            if again
+            if is_converted
             else "is a state: give the names of controls"
         )
         raise ProblemError(f"{what}() of {phase.label} got '{name}', which {why}.")

@@ -88,13 +88,13 @@ def check_guess_in_tables(problem: ProblemData, phase: Phase, *, warn: bool) -> 
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.get_parameter_guess()
     p = phase.model.parameter_values
-    for found in find_points_outside_tables(problem, phase, times, start.states, start.controls, p, q):
-        if found.table.outside == "error":
+    for point in find_points_outside_tables(problem, phase, times, start.states, start.controls, p, q):
+        if point.table.outside == "error":
             raise ProblemError(
-                f"the guess leaves a table ({found}): give another guess(), or a larger table."
+                f"the guess leaves a table ({point}): give another guess(), or a larger table."
             )
         if warn:
-            warn_user(f"the guess leaves a table ({found}), which is extrapolated ('{found.table.outside}').")
+            warn_user(f"the guess leaves a table ({point}), which is extrapolated ('{point.table.outside}').")
 
 
 def _find_first_kink_by_type(

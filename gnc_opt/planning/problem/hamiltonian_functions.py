@@ -151,9 +151,9 @@ class PhaseFunctions:
     def is_hamiltonian_quadratic_in(self, controls: Indices) -> bool:
         """Return whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
         m = self.functions["switching"].size1_out(0)
-        bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
+        curved = self.functions["control_hessian"].jac_sparsity(0, 2).row()
         slopes = self.functions["path_control_jacobian"].jac_sparsity(0, 2).row()
-        return not np.any(np.isin(np.array([*bends, *slopes], dtype=int) % m, controls))
+        return not np.any(np.isin(np.array([*curved, *slopes], dtype=int) % m, controls))
 
     @property
     def mixed_path_constraints(self) -> Mask:
@@ -190,25 +190,25 @@ class PhaseFunctions:
         """dc/dt (n_paths, ...), dc/dx (n_states, n_paths, ...) and dc/dq (n_free_parameters, n_paths, ...)."""
         flat, n = self._evaluate_function_by_name("path_gradients", t, x, u), np.shape(x)[0]
         size = 1 + n + self.q.size, self.functions["paths"].size1_out(0)
-        found = flat.reshape(*size, *flat.shape[1:])
-        return found[0], found[1 : n + 1], found[n + 1 :]
+        gradients = flat.reshape(*size, *flat.shape[1:])
+        return gradients[0], gradients[1 : n + 1], gradients[n + 1 :]
 
     def _evaluate_function_by_name(
         self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
         function = self.functions[name]
-        none = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
-        others = *multipliers, *none, self.weights, self.p, self.q
+        zeros = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
+        arguments = *multipliers, *zeros, self.weights, self.p, self.q
         return evaluate_casadi_function(
-            function, t, x, u, *others, programme=lambda: self._get_compiled_function(name)
+            function, t, x, u, *arguments, programme=lambda: self._get_compiled_function(name)
         )
 
     def _get_compiled_function(self, name: str) -> VectorizedFunction | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
             self.functions[key] = VectorizedFunction.from_casadi_function(self.functions[name])
-        known: VectorizedFunction | None = self.functions[key]
-        return known
+        function: VectorizedFunction | None = self.functions[key]
+        return function
 
 
 def compile_phase_functions(

@@ -30,17 +30,17 @@ def clip_initial_states_to_bounds(problem: Problem) -> tuple[Problem, str]:
     str
         For example ``v = 0.7 (given 0.0003 beyond)``; empty if no state is changed.
     """
-    moved, texts = problem, list[str]()
+    clipped, texts = problem, list[str]()
     for name, phase in problem.phases.items():
-        kept, places = _clip_initial_states_of_phase(phase)
-        if places:
-            moved = moved.clone()
-            upper = np.where(phase.numbers.initial.is_fixed, kept, phase.numbers.initial.upper)
-            moved.get_phase(name).numbers = replace(phase.numbers, initial=Interval(kept, upper))
-            for i in places:
-                excess = abs(float(phase.numbers.initial.lower[i] - kept[i]))
-                texts.append(f"{phase.model.states.labels[i]} = {kept[i]:.7g} (given {excess:.2g} beyond)")
-    return moved, ", ".join(texts)
+        lower, indices = _clip_initial_states_of_phase(phase)
+        if indices:
+            clipped = clipped.clone()
+            upper = np.where(phase.numbers.initial.is_fixed, lower, phase.numbers.initial.upper)
+            clipped.get_phase(name).numbers = replace(phase.numbers, initial=Interval(lower, upper))
+            for i in indices:
+                excess = abs(float(phase.numbers.initial.lower[i] - lower[i]))
+                texts.append(f"{phase.model.states.labels[i]} = {lower[i]:.7g} (given {excess:.2g} beyond)")
+    return clipped, ", ".join(texts)
 
 
 def _clip_initial_states_of_phase(phase: Phase) -> tuple[Array, list[int]]:
@@ -50,9 +50,9 @@ def _clip_initial_states_of_phase(phase: Phase) -> tuple[Array, list[int]]:
     """
     box, initial = phase.numbers.states, phase.numbers.initial
     width, size = box.upper - box.lower, np.where(np.isfinite(box.lower), box.lower, box.upper)
-    reach = np.where(np.isfinite(width), width, np.where(np.isfinite(size), np.abs(size), 0.0))
-    given = np.where(initial.is_fixed, initial.lower, 0.0)
-    kept = np.clip(given, box.lower, box.upper)
-    excess = np.where(initial.is_fixed, np.abs(given - kept), 0.0)
-    slightly = (excess > ROUNDING * (1.0 + np.abs(kept))) & (excess <= START_EXCESS_MAX_SHARE * reach)
-    return np.where(slightly, kept, initial.lower), [int(i) for i in np.flatnonzero(slightly)]
+    scale = np.where(np.isfinite(width), width, np.where(np.isfinite(size), np.abs(size), 0.0))
+    fixed = np.where(initial.is_fixed, initial.lower, 0.0)
+    clipped = np.clip(fixed, box.lower, box.upper)
+    excess = np.where(initial.is_fixed, np.abs(fixed - clipped), 0.0)
+    slightly = (excess > ROUNDING * (1.0 + np.abs(clipped))) & (excess <= START_EXCESS_MAX_SHARE * scale)
+    return np.where(slightly, clipped, initial.lower), [int(i) for i in np.flatnonzero(slightly)]

@@ -33,13 +33,13 @@ ANY: Range = (-math.inf, math.inf)
 def bound_function_values(function: Any, arguments: Sequence[Interval]) -> Interval:
     """Return the range of every entry of an SXFunction's first output for ranges of its dense arguments."""
     size = function.size1_out(0)
-    found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
+    ranges, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
     work = [ANY] * function.sz_w()
     for k in range(function.n_instructions()):
         operation, source = function.instruction_id(k), function.instruction_input(k)
         target = function.instruction_output(k)
         if operation == ca.OP_OUTPUT:
-            found[rows[target[1]]] = work[source[0]]
+            ranges[rows[target[1]]] = work[source[0]]
         elif operation == ca.OP_INPUT:
             box = arguments[source[0]]
             work[target[0]] = float(box.lower[source[1]]), float(box.upper[source[1]])
@@ -47,11 +47,11 @@ def bound_function_values(function: Any, arguments: Sequence[Interval]) -> Inter
             value = function.instruction_constant(k)
             work[target[0]] = (value, value)
         else:
-            known = _OPERATIONS.get(operation)
-            result = known(*(work[i] for i in source)) if known else ANY
+            rule = _OPERATIONS.get(operation)
+            result = rule(*(work[i] for i in source)) if rule else ANY
             for i in target:
                 work[i] = ANY if any(map(math.isnan, result)) else result
-    return Interval(np.array([a for a, _ in found]), np.array([b for _, b in found]))
+    return Interval(np.array([a for a, _ in ranges]), np.array([b for _, b in ranges]))
 
 
 def _add_intervals(a: Range, b: Range) -> Range:
@@ -179,10 +179,10 @@ class SymbolRanges:
                 intersect_bounds(numbers.final, numbers.states),
                 unbounded_interval(len(phase.integrands)),
             ]
-            own = zip(
+            model_parameters = zip(
                 ca.vertsplit(phase.model.symbolic_arguments()[3]), phase.model.parameter_values, strict=True
             )
-            constants |= {s.element_hash(): (s, value) for s, value in own}
+            constants |= {s.element_hash(): (s, value) for s, value in model_parameters}
         values = np.array([value for _, value in constants.values()])
         symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))
         return cls(tuple(symbols), (*boxes, Interval(values, values)))

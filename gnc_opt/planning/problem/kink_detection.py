@@ -41,9 +41,9 @@ class KinkFunctions:
     @property
     def is_state_dependent(self) -> Mask:
         """Whether each operation depends on states, (n_operations,); the others depend on controls only."""
-        found = np.zeros(len(self.words), dtype=bool)
-        found[self.arguments.jac_sparsity(0, 1).row()] = True
-        return found
+        mask = np.zeros(len(self.words), dtype=bool)
+        mask[self.arguments.jac_sparsity(0, 1).row()] = True
+        return mask
 
 
 def has_kinks(expression: Any) -> bool:
@@ -62,16 +62,16 @@ def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctio
         looked_up = frozenset[int]().union(
             *(use.subexpression_hashes for use in list_table_calls(problem, phase))
         )
-        found: dict[int, tuple[str, Any]] = {}
+        kinks: dict[int, tuple[str, Any]] = {}
         for node in iterate_subexpressions(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
                 argument = _get_kink_argument(node, operation)
                 if ca.depends_on(argument, ca.vertcat(x, u)):
-                    found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
-        if not found:
+                    kinks.setdefault(argument.element_hash(), (_WORDS[operation], argument))
+        if not kinks:
             return None
-        words, arguments = zip(*found.values(), strict=True)
+        words, arguments = zip(*kinks.values(), strict=True)
         return KinkFunctions(
             words, build_function_along_phase(problem, phase, "kinks", ca.vertcat(*arguments))
         )
@@ -87,17 +87,17 @@ def build_threshold_crossing_function(problem: ProblemData, phase: Phase) -> Any
 
     def collect_threshold_comparisons() -> Any:
         t, x, _, _ = phase.model.symbolic_arguments()
-        moving, found = ca.vertcat(t, x), {}
+        moving, differences = ca.vertcat(t, x), {}
         for node in iterate_subexpressions(stack_phase_expressions(phase)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
-                given = [part.is_constant() and not part.is_zero() for part in parts]
+                is_constant = [part.is_constant() and not part.is_zero() for part in parts]
                 of_one = [part.is_symbolic() and ca.depends_on(part, moving) for part in parts]
-                if any(given) and any(of_one):
-                    found[node.element_hash()] = node
-        if not found:
+                if any(is_constant) and any(of_one):
+                    differences[node.element_hash()] = node
+        if not differences:
             return None
-        return build_function_along_phase(problem, phase, "centres", ca.vertcat(*found.values()))
+        return build_function_along_phase(problem, phase, "centres", ca.vertcat(*differences.values()))
 
     return problem.memoize(("centres", phase.name), collect_threshold_comparisons)
 

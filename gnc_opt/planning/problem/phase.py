@@ -390,15 +390,15 @@ class Phase(StrictAttributes):
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
-        final, none = self.numbers.final, unbounded_interval(self.model.states.size)
-        self._replace_bounds_and_guess(final=none)
-        found = [self.clone() for _ in names]
-        for name, twin in zip(names, found, strict=True):
-            twin.name = name
-            twin._replace_bounds_and_guess(initial=none)
-            twin._create_boundary_symbols()
-        found[-1]._replace_bounds_and_guess(final=final)
-        return found
+        final, unbounded = self.numbers.final, unbounded_interval(self.model.states.size)
+        self._replace_bounds_and_guess(final=unbounded)
+        copies = [self.clone() for _ in names]
+        for name, phase in zip(names, copies, strict=True):
+            phase.name = name
+            phase._replace_bounds_and_guess(initial=unbounded)
+            phase._create_boundary_symbols()
+        copies[-1]._replace_bounds_and_guess(final=final)
+        return copies
 
     def hold(
         self,
@@ -435,9 +435,9 @@ class Phase(StrictAttributes):
             "states": (states, model.states.labels, box.states),
         }
         kinds = {
-            name: read_arc_kinds(given, labels, limits, name, self.label)
-            for name, (given, labels, limits) in rows.items()
-            if given is not None
+            name: read_arc_kinds(values, labels, limits, name, self.label)
+            for name, (values, labels, limits) in rows.items()
+            if values is not None
         }
         self._replace_bounds_and_guess(
             arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions))
@@ -499,8 +499,8 @@ class Phase(StrictAttributes):
         """
         if vector.name in self._told_on_sphere:
             return self._told_on_sphere[vector.name]
-        least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
-        return bool(least[0] > 0) or vector.name in self._curved
+        smallest = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
+        return bool(smallest[0] > 0) or vector.name in self._curved
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that functions use a vector control; ``on_sphere`` None: `has_unit_direction` follows from them."""
@@ -514,8 +514,8 @@ class Phase(StrictAttributes):
 
     def describe_reformulation(self, *texts: str) -> None:
         """Add descriptions of a reformulation that keeps the controls."""
-        same = ControlMap.create_identity_map(self.model, texts)
-        self.restatement = same.compose_control_maps(self.restatement)
+        identity = ControlMap.create_identity_map(self.model, texts)
+        self.restatement = identity.compose_control_maps(self.restatement)
 
     def _constrain_direction_to_unit_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
@@ -561,13 +561,13 @@ class Phase(StrictAttributes):
 
     def clone(self, owner: PhaseOwner | None = None) -> Phase:
         """Return a copy, optionally for another problem; it shares symbols and has its own numbers."""
-        twin = copy.copy(self)
-        twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
-        twin._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
-        twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
-        twin.handed, twin.known_ends = dict(self.handed), dict(self.known_ends)
-        twin._owner = owner or self._owner
-        return twin
+        clone = copy.copy(self)
+        clone.paths, clone.integrands = dict(self.paths), dict(self.integrands)
+        clone._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
+        clone._curved, clone._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
+        clone.handed, clone.known_ends = dict(self.handed), dict(self.known_ends)
+        clone._owner = owner or self._owner
+        return clone
 
     def _replace_bounds_and_guess(self, **numbers: Any) -> None:
         self._owner.require_mutable()

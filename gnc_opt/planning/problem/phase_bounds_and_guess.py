@@ -54,8 +54,8 @@ class PhaseGuess:
             if not callable(value):  # functions need the phase's times
                 sample_guess(value, sizes[name], ends, ends, times, f"the guess of '{name}' in {where}")
         if older is not None and times is not None:
-            kept = {name: value for name, value in self.values.items() if name not in values}
-            merged, times = resample_guesses(kept, older, values, times)
+            unchanged = {name: value for name, value in self.values.items() if name not in values}
+            merged, times = resample_guesses(unchanged, older, values, times)
         return PhaseGuess(times, merged)
 
 
@@ -115,8 +115,8 @@ class ControlMap:
     @classmethod
     def create_identity_map(cls, model: Model, texts: tuple[str, ...]) -> ControlMap:
         """Return a restatement that does not change the controls."""
-        none = ca.SX(0, 1)
-        return cls(model, none, none, model.symbols("control"), texts)
+        empty = ca.SX(0, 1)
+        return cls(model, empty, empty, model.symbols("control"), texts)
 
     def express_by_reformulated_controls(self, expression: Any) -> Any:
         """Return an expression of the stated controls in terms of the solved ones."""

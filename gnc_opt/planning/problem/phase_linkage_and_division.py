@@ -132,11 +132,11 @@ def _read_phase_division_times(
             _read_phase_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError
         )
     )
-    least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
-    if not (values.size and np.all(np.diff([least, *values, most]) > 0)):
+    lower, upper = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
+    if not (values.size and np.all(np.diff([lower, *values, upper]) > 0)):
         raise ProblemError(
             f"the {what} of divide() of {phase.label} are {values}: "
-            f"give increasing ones between {least:g} and {most:g}."
+            f"give increasing ones between {lower:g} and {upper:g}."
         )
     for value in values:
         if fractions is None:

@@ -260,8 +260,8 @@ class Problem(ProblemData):
             )
         durations = read_optional_mapping(durations, "durations of sequence()", 'write {"ascent": 100.0}')
         drops = read_optional_mapping(drops, "drops of sequence()", 'write {"ascent": {"m": 1200.0}}')
-        for given, known in ((durations, names), (drops, names[:-1])):
-            for name in given:
+        for by_phase, known in ((durations, names), (drops, names[:-1])):
+            for name in by_phase:
                 if name not in known:
                     raise unknown_name_error("phase", name, f"sequence() of problem '{self.name}'", known)
         spans = [read_duration(durations.get(phase.name), phase.label) for phase in chain]
@@ -276,8 +276,8 @@ class Problem(ProblemData):
             begin = end
         for first, second in pairwise(chain):
             what = f"the drops after {first.label}"
-            left = require_type(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
-            jump = {n: -read_float_array(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
+            drop = require_type(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
+            jump = {n: -read_float_array(value, f"{what}, '{n}',", ProblemError) for n, value in drop.items()}
             self.link(first, second, jump=jump)
 
     def divide(
@@ -324,26 +324,26 @@ class Problem(ProblemData):
 
     def with_initial(self, phase: str | None = None, /, **values: Any) -> Problem:
         """Return a copy with other initial values; ``phase`` is optional for a single phase."""
-        twin = self.clone()
-        twin.get_phase(phase).initial(**values)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).initial(**values)
+        return variation
 
     def with_final(self, phase: str | None = None, /, **values: Any) -> Problem:
         """Return a copy with other final values."""
-        twin = self.clone()
-        twin.get_phase(phase).final(**values)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).final(**values)
+        return variation
 
     def with_bounds(self, phase: str | None = None, /, **ranges: Any) -> Problem:
         """Return a copy with other bounds of states or controls."""
-        twin = self.clone()
-        twin.get_phase(phase).bounds(**ranges)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).bounds(**ranges)
+        return variation
 
     def with_time(self, phase: str | None = None, /, **times: Any) -> Problem:
         """Return a copy with other times: ``with_time(initial=..., final=..., duration=...)``."""
-        twin = self.clone()
-        changed = twin.get_phase(phase)
+        variation = self.clone()
+        changed = variation.get_phase(phase)
         old = changed.numbers
         shared = self.builds
         given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
@@ -357,32 +357,32 @@ class Problem(ProblemData):
             initial_time=changed.numbers.initial_time if "initial" in given else old.initial_time,
             final_time=changed.numbers.final_time if "final" in given else old.final_time,
         )
-        twin.builds = shared
-        return twin
+        variation.builds = shared
+        return variation
 
     def with_guess(
         self, phase: str | None = None, /, time: ArrayLike | None = None, **values: GuessValue
     ) -> Problem:
         """Return a copy with another guess; see ``Phase.guess``."""
-        twin = self.clone()
-        twin.get_phase(phase).guess(time, **values)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).guess(time, **values)
+        return variation
 
     def with_parameter_guess(self, **values: ArrayLike) -> Problem:
         """Return a copy with other guesses of free parameters."""
-        twin = self.clone()
+        variation = self.clone()
         for name, value in values.items():
             if name not in self._parameters:
                 raise unknown_name_error("parameter", name, f"problem '{self.name}'", self._parameters)
             size = self._parameters[name].variable.size
-            twin.parameter_guess[name] = read_vector(value, size, f"the guess of parameter '{name}'")
-        return twin
+            variation.parameter_guess[name] = read_vector(value, size, f"the guess of parameter '{name}'")
+        return variation
 
     def with_scale(self, phase: str | None = None, /, **magnitudes: ArrayLike) -> Problem:
         """Return a copy with other scales; see ``Phase.scale``."""
-        twin = self.clone()
-        twin.get_phase(phase).scale(**magnitudes)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).scale(**magnitudes)
+        return variation
 
     def with_fixed_arcs(
         self,
@@ -396,21 +396,21 @@ class Problem(ProblemData):
         junctions: tuple[Junction, ...] = (),
     ) -> Problem:
         """Return a copy with prescribed arcs, segment by segment; see ``Phase.hold``."""
-        twin = self.clone()
-        twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
-        return twin
+        variation = self.clone()
+        variation.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
+        return variation
 
     def with_parameters(self, **values: ArrayLike) -> Problem:
         """Return a copy with other values of model parameters, in all models that contain them."""
-        twin = self.clone()
+        variation = self.clone()
         for name in values:
-            if not any(name in phase.model.parameters for phase in twin.phases.values()):
-                known = {n for phase in twin.phases.values() for n in phase.model.parameters.names}
+            if not any(name in phase.model.parameters for phase in variation.phases.values()):
+                known = {n for phase in variation.phases.values() for n in phase.model.parameters.names}
                 raise unknown_name_error("model parameter", name, f"problem '{self.name}'", sorted(known))
-        for phase in twin.phases.values():
-            own = {k: v for k, v in values.items() if k in phase.model.parameters}
-            phase.model = phase.model.with_parameters(**own)
-        return twin
+        for phase in variation.phases.values():
+            model_values = {k: v for k, v in values.items() if k in phase.model.parameters}
+            phase.model = phase.model.with_parameters(**model_values)
+        return variation
 
     def check(self) -> None:
         """Raise `ProblemError` for mistakes in the problem statement; `solve` calls it too.
@@ -424,9 +424,9 @@ class Problem(ProblemData):
         """Return an immutable copy, as stored in solutions; it shares cached objects."""
         if self._frozen:
             return self
-        twin = self.clone()
-        twin._frozen = True
-        return twin
+        frozen_copy = self.clone()
+        frozen_copy._frozen = True
+        return frozen_copy
 
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
@@ -454,14 +454,14 @@ class Problem(ProblemData):
 
     def clone(self) -> Problem:
         """Return a mutable copy with its own numbers and shared symbols and cache."""
-        twin = copy.copy(self)
-        twin._frozen = False
-        twin.phases = {name: phase.clone(twin) for name, phase in self.phases.items()}
-        twin.constraints = dict(self.constraints)
-        twin._parameters = dict(self._parameters)
-        twin.parameter_bounds = dict(self.parameter_bounds)
-        twin.parameter_guess = dict(self.parameter_guess)
-        return twin
+        clone = copy.copy(self)
+        clone._frozen = False
+        clone.phases = {name: phase.clone(clone) for name, phase in self.phases.items()}
+        clone.constraints = dict(self.constraints)
+        clone._parameters = dict(self._parameters)
+        clone.parameter_bounds = dict(self.parameter_bounds)
+        clone.parameter_guess = dict(self.parameter_guess)
+        return clone
 
     def _set_cost_expression(self, cost: Any, sense: float, unit: str) -> None:
         self.require_mutable()

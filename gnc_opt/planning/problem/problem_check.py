@@ -79,18 +79,18 @@ def check_bounds_and_times(problem: ProblemData) -> None:
 def _check_phase_times(phase: Phase) -> None:
     initial, final = phase.time_ranges()
     span = phase.numbers.duration
-    least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
+    shortest, longest = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
     asked = phase.numbers
     times = f"initial time {_format_range(asked.initial_time, 0)} s, final time {_format_range(asked.final_time, 0)} s"
-    if most < 0:
+    if longest < 0:
         raise ProblemError(
             f"{phase.label} ends before it starts ({times}): correct time(initial=..., final=...)."
         )
-    if min(most, span.upper[0]) == 0:
+    if min(longest, span.upper[0]) == 0:
         raise ProblemError(f"{phase.label} has no duration ({times}): let the final time be later.")
     slack = ROUNDING * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
-    if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
+    if max(crossed, shortest - span.upper[0], span.lower[0] - longest) > slack:
         raise ProblemError(
             f"{phase.label} cannot last {_format_range(span, 0)} s between an initial time of "
             f"{_format_range(asked.initial_time, 0)} s "
@@ -100,9 +100,9 @@ def _check_phase_times(phase: Phase) -> None:
 
 def _check_boundary_values_in_bounds(phase: Phase) -> None:
     for end, values in (("initial", phase.numbers.initial), ("final", phase.numbers.final)):
-        both = intersect_bounds(values, phase.numbers.states)
-        slack = ROUNDING * (1.0 + np.abs(both.lower))
-        wrong = np.flatnonzero(both.lower > both.upper + slack)
+        intersection = intersect_bounds(values, phase.numbers.states)
+        slack = ROUNDING * (1.0 + np.abs(intersection.lower))
+        wrong = np.flatnonzero(intersection.lower > intersection.upper + slack)
         if wrong.size:
             i = int(wrong[0])
             raise ProblemError(
@@ -308,8 +308,8 @@ def describe_missing_bounds(problem: ProblemData) -> str:
     times = ca.vertcat(
         *[t for phase in problem.phases.values() for t in (phase.initial_time, phase.final_time)]
     )
-    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
-    if ca.symvar(apart):
+    without_times = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
+    if ca.symvar(without_times):
         return ""
     missing = [f"'{name}'" for phase in problem.phases.values() for name in _find_unbounded_controls(phase)]
     if not missing:
@@ -328,10 +328,10 @@ def _find_unbounded_controls(phase: Phase) -> list[str]:
     if phase.vector_controls:  # these are limited by their length
         return []
     limits = ca.vertcat(phase.path_expression(), phase.integrand_expression())
-    found = []
+    unbounded = []
     for i in np.flatnonzero(np.isinf(box.lower) | np.isinf(box.upper)):
         slope = ca.jacobian(rates, u[int(i)])
-        used = slope.nnz() > 0 and not ca.depends_on(slope, u)
-        if used and not ca.depends_on(limits, u[int(i)]):
-            found.append(phase.model.controls.labels[i])
-    return found
+        is_affine = slope.nnz() > 0 and not ca.depends_on(slope, u)
+        if is_affine and not ca.depends_on(limits, u[int(i)]):
+            unbounded.append(phase.model.controls.labels[i])
+    return unbounded

@@ -100,8 +100,8 @@ class ProblemData(StrictAttributes):
             for t in (
                 (phase.final_time, phase.final_time - phase.initial_time) if factor.is_constant() else ()
             ):
-                rest = ca.jacobian(self.cost - factor * t, ca.vertcat(*ca.symvar(self.cost)))
-                if float(factor) and rest.is_zero():
+                remainder = ca.jacobian(self.cost - factor * t, ca.vertcat(*ca.symvar(self.cost)))
+                if float(factor) and remainder.is_zero():
                     share = f"× {abs(float(factor)):.4g} " if abs(float(factor)) != 1 else ""
                     return share + self.stated_cost_unit
         return self.stated_time_unit

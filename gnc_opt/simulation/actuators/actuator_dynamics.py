@@ -119,10 +119,10 @@ class RateLimit(_InitializedActuator):
         return {"rate": (TINY, math.inf)}
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        wanted, reach = signal - state, p["rate"] * tick.h
-        change = clip_and_propagate_nan(wanted, -reach, reach)
-        mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
-        return Step(mean, state + change, is_changed_by_clipping(change, wanted))
+        requested, limit = signal - state, p["rate"] * tick.h
+        change = clip_and_propagate_nan(requested, -limit, limit)
+        mean = state + change * (1 - 0.5 * ca.fabs(change) / limit)
+        return Step(mean, state + change, is_changed_by_clipping(change, requested))
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,12 @@ class Delay(_InitializedActuator):
         size = signal.shape[0]
         line = ca.vertcat(signal, state)  # newest value first
         steps = p["delay"] / tick.h
-        whole = ca.floor(steps + SAME_TIME)
-        share = ca.fmax(0.0, steps - whole)  # share of the step in which the older value acts
+        full_steps = ca.floor(steps + SAME_TIME)
+        share = ca.fmax(0.0, steps - full_steps)  # share of the step in which the older value acts
         newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
         for i in range(line.shape[0] // size):
-            newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
-            older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
+            newer += ca.if_else(full_steps == i, line[i * size : (i + 1) * size], 0.0)
+            older += ca.if_else(full_steps == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)
         return Step(share * older + (1 - share) * newer, slice_symbolic_rows(line, 0, state.shape[0]))
 

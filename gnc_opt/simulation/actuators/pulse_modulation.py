@@ -79,8 +79,8 @@ class Pwm(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size, count = signal.shape[0], self._count_steps_per_period(tick.h, tick.dt)
-        held, phase = state[:size], state[size]
-        command = ca.if_else(is_step_counter_zero(phase), signal, held)
+        previous, phase = state[:size], state[size]
+        command = ca.if_else(is_step_counter_zero(phase), signal, previous)
         on_steps = ca.floor(clip_and_propagate_nan(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
@@ -137,9 +137,9 @@ class SchmittTrigger(Block):
 
 def update_schmitt_trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
     """Return the new polarity (-1, 0, 1) of a Schmitt trigger, from a signal and the previous polarity (SX)."""
-    fresh = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
+    switched = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
     holds = ca.logic_and(ca.fabs(signal) >= off, polarity * signal > 0)
-    return ca.if_else(holds, polarity, fresh)
+    return ca.if_else(holds, polarity, switched)
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,9 @@ def _is_guess_table_over_times(value: GuessValue, times: Array) -> bool:
     return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
 
 
-def _interpolate_guess(value: GuessValue, times: Array, at: Array) -> Array:
+def _interpolate_guess(value: GuessValue, times: Array, new_times: Array) -> Array:
     rows = np.asarray(value, dtype=float).reshape(-1, times.size)
-    return np.stack([np.interp(at, times, row) for row in rows])
+    return np.stack([np.interp(new_times, times, row) for row in rows])
 
 
 def sample_guess(

@@ -73,19 +73,19 @@ def guess_from_data(
 
     times, values = read_data_column(time), {}
     for variable in selected.guessable_names.values():
-        given = [label for label in variable.labels if label in known]
-        if not given:
+        available = [label for label in variable.labels if label in known]
+        if not available:
             continue
         missing = [label for label in variable.labels if label not in known]
         if missing:
             raise ProblemError(
-                f"the data of guess_from_data() has a column '{given[0]}' but no '{missing[0]}': give all "
+                f"the data of guess_from_data() has a column '{available[0]}' but no '{missing[0]}': give all "
                 f"components of '{variable.name}', or none."
             )
-        rows = [read_data_column(label) for label in given]
+        rows = [read_data_column(label) for label in available]
         if any(row.shape != times.shape for row in rows):
             raise ProblemError(
-                f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "
+                f"column '{available[0]}' of the guess and its times differ in length, {rows[0].size} and "
                 f"{times.size}: give equal ones."
             )
         values[variable.name] = np.stack(rows)

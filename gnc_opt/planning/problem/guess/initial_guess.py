@@ -36,7 +36,7 @@ class SampledGuess:
 def build_phase_guess(phase: Phase, fractions: Array, *, perturbed: bool = True) -> SampledGuess:
     """Return the guess of a phase at fractions of its duration, optionally with `build_control_perturbation`."""
     times = guess_phase_times(phase)
-    at = times[0] + fractions * (times[1] - times[0])
+    t = times[0] + fractions * (times[1] - times[0])
     model, numbers = phase.model, phase.numbers
     first, last = guess_boundary_states(phase)
     states = first[:, None] + (last - first)[:, None] * fractions
@@ -47,9 +47,7 @@ def build_phase_guess(phase: Phase, fractions: Array, *, perturbed: bool = True)
         controls += build_control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {phase.label}"
-        values = sample_guess(
-            value, phase.guessable_names[name].size, at, fractions, numbers.guess.time, what
-        )
+        values = sample_guess(value, phase.guessable_names[name].size, t, fractions, numbers.guess.time, what)
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
@@ -67,14 +65,14 @@ def _guess_constant_vector_control(
     if duration <= 0 or controls.shape[1] == 0:
         return
     rate, place = (last - first) / duration, layout.slice(vector.magnitude)
-    found = solve_vector_control_for_rate(
+    constant = solve_vector_control_for_rate(
         phase, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate
     )
     box = phase.numbers.controls
-    most = float(box.upper[place][0])
-    if found is not None and np.isfinite(most) and SUSTAINED * most <= found[0] <= most:
-        controls[place] = max(found[0], float(box.lower[place][0]))
-        controls[layout.slice(vector.direction)] = found[1][:, None]
+    largest = float(box.upper[place][0])
+    if constant is not None and np.isfinite(largest) and SUSTAINED * largest <= constant[0] <= largest:
+        controls[place] = max(constant[0], float(box.lower[place][0]))
+        controls[layout.slice(vector.direction)] = constant[1][:, None]
 
 
 def set_control_guess(model: Model, controls: Array, name: str, values: Array) -> None:
@@ -83,9 +81,9 @@ def set_control_guess(model: Model, controls: Array, name: str, values: Array) -
     if composed is None:
         controls[model.controls.slice(name)] = values
         return
-    for part, own in zip(composed.parts, composed.decompose_control(values), strict=True):
+    for part, part_values in zip(composed.parts, composed.decompose_control(values), strict=True):
         place = model.controls.slice(part)
-        controls[place] = np.where(np.isnan(own), controls[place], own)
+        controls[place] = np.where(np.isnan(part_values), controls[place], part_values)
 
 
 def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
@@ -111,10 +109,10 @@ def guess_end_states_from_constraint(
         for name in phase.model.states.names
         for i, symbol in enumerate(ca.vertsplit(state(name)))
     }
-    known = {symbol.element_hash() for symbol in ca.vertsplit(parameters)}
+    parameter_hashes = {symbol.element_hash() for symbol in ca.vertsplit(parameters)}
     numbers = np.concatenate([*guess.values(), np.zeros(0)])
-    for row, wanted in zip(ca.vertsplit(constraint.expression), constraint.interval.midpoint, strict=True):
-        symbols = [s for s in ca.symvar(row) if s.element_hash() not in known]
+    for row, target in zip(ca.vertsplit(constraint.expression), constraint.interval.midpoint, strict=True):
+        symbols = [s for s in ca.symvar(row) if s.element_hash() not in parameter_hashes]
         if len(symbols) != 1 or symbols[0].element_hash() not in owners:
             continue
         slope = ca.jacobian(row, symbols[0])
@@ -123,7 +121,7 @@ def guess_end_states_from_constraint(
         at_zero, rate = (
             float(v) for v in ca.Function("f", [symbols[0], parameters], [row, slope])(0.0, numbers)
         )
-        value = (wanted - at_zero) / rate if rate else np.nan
+        value = (target - at_zero) / rate if rate else np.nan
         if np.isfinite(value):
             phase, end, name, i = owners[symbols[0].element_hash()]
             known_end = phase.known_ends.get(
@@ -156,30 +154,30 @@ def solve_vector_control_for_rate(
             [0.5 * (evaluate_rates(1.0, axis) - evaluate_rates(1.0, -axis)) for axis in axes], axis=1
         )
         lacks = rate - evaluate_rates(0.0, axes[0])
-    moved = np.linalg.norm(does, axis=1)
-    if not (np.all(np.isfinite(does)) and np.all(np.isfinite(lacks)) and np.any(moved > 0)):
+    row_norms = np.linalg.norm(does, axis=1)
+    if not (np.all(np.isfinite(does)) and np.all(np.isfinite(lacks)) and np.any(row_norms > 0)):
         return None
-    rows = moved > 0
-    wanted = np.linalg.lstsq(does[rows] / moved[rows, None], lacks[rows] / moved[rows], rcond=None)[0]
-    length = float(np.linalg.norm(wanted))
-    return (length, wanted / length) if length > 0 else None
+    rows = row_norms > 0
+    best = np.linalg.lstsq(does[rows] / row_norms[rows, None], lacks[rows] / row_norms[rows], rcond=None)[0]
+    length = float(np.linalg.norm(best))
+    return (length, best / length) if length > 0 else None
 
 
 def guess_phase_times(phase: Phase) -> Array:
     """Return guessed initial and final time (2,); phases without known end share the time to the next one equally."""
-    known = phase.numbers.guess.time
-    wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
+    guess_times = phase.numbers.guess.time
+    guessed = np.array([np.nan, np.nan]) if guess_times is None else guess_times[[0, -1]]
     initial, final = phase.time_ranges()
     before, after = _find_phases_linked_in_time(phase)
-    if before is not None and np.isnan(wanted[0]):
-        wanted[0] = guess_phase_times(before)[1]
-    t0 = _choose_boundary_time_guess(initial, wanted[0], default=0.0)
+    if before is not None and np.isnan(guessed[0]):
+        guessed[0] = guess_phase_times(before)[1]
+    t0 = _choose_boundary_time_guess(initial, guessed[0], default=0.0)
     span = phase.numbers.duration
-    least = max(float(span.lower[0]), 0.0)
-    usual = least if least > 0 else 1.0
-    if np.isnan(wanted[1]) and after is not None and not _has_bounded_phase_times(final):
+    shortest = max(float(span.lower[0]), 0.0)
+    usual = shortest if shortest > 0 else 1.0
+    if np.isnan(guessed[1]) and after is not None and not _has_bounded_phase_times(final):
         usual = _share_time_between_phases(after, t0) or usual
-    tf = _choose_boundary_time_guess(final, wanted[1], default=t0 + usual)
+    tf = _choose_boundary_time_guess(final, guessed[1], default=t0 + usual)
     if tf <= t0 and not final.is_fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
@@ -201,20 +199,20 @@ def _share_time_between_phases(phase: Phase | None, start: float) -> float:
     phases = 1
     while phase is not None:
         phases += 1
-        own, final = phase.numbers.guess.time, phase.time_ranges()[1]
-        if own is not None or _has_bounded_phase_times(final):
-            end = float(own[-1]) if own is not None else float(final.midpoint[0])
+        guess_times, final = phase.numbers.guess.time, phase.time_ranges()[1]
+        if guess_times is not None or _has_bounded_phase_times(final):
+            end = float(guess_times[-1]) if guess_times is not None else float(final.midpoint[0])
             return max(end - start, 0.0) / phases
         phase = _find_phases_linked_in_time(phase)[1]
     return 0.0
 
 
-def _choose_boundary_time_guess(interval: Interval, wanted: float, default: float) -> float:
+def _choose_boundary_time_guess(interval: Interval, guess: float, default: float) -> float:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower
-    if np.isfinite(wanted):
-        return float(np.clip(wanted, lower, upper))
+    if np.isfinite(guess):
+        return float(np.clip(guess, lower, upper))
     if np.isfinite(lower) and np.isfinite(upper):
         return 0.5 * (lower + upper)
     return float(np.clip(default, lower, upper))
@@ -253,7 +251,7 @@ class _LinkedState:
             what = f"the guess of '{name}' in {phase.label}"
             value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
             guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
-        known = []
+        values = []
         for end, stated, guessed in zip(
             ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
         ):
@@ -263,10 +261,10 @@ class _LinkedState:
                 phase.known_ends.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper
             )
             open_end = np.where(np.isnan(guessed), constrained, guessed)
-            known.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
+            values.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
         handed = phase.find_linked_phase(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
-        return cls(phase, known[0], known[1], box, float(times[1] - times[0]), jump)
+        return cls(phase, values[0], values[1], box, float(times[1] - times[0]), jump)
 
 
 def _find_linked_phases(phase: Phase, name: str) -> list[_LinkedState]:
@@ -301,9 +299,9 @@ def _find_next_known_linked_state(chain: list[_LinkedState]) -> tuple[Array, Arr
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):
         if later is not None:
-            here = ~np.isnan(later.start)
-            value = np.where(here, later.start, value) - later.jump
-            time = np.where(here, 0.0, time)
-        here = ~np.isnan(link.end)
-        value, time = np.where(here, link.end, value), np.where(here, 0.0, time) + link.duration
+            is_known = ~np.isnan(later.start)
+            value = np.where(is_known, later.start, value) - later.jump
+            time = np.where(is_known, 0.0, time)
+        is_known = ~np.isnan(link.end)
+        value, time = np.where(is_known, link.end, value), np.where(is_known, 0.0, time) + link.duration
     return value, time

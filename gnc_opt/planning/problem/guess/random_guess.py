@@ -53,12 +53,12 @@ def with_random_guess(
     if index == 0:
         return problem
     rng = np.random.default_rng([seed, index])
-    twin, shift = problem, 0.0
+    variation, shift = problem, 0.0
     turned: dict[str, float] = {}
     for name, phase in problem.phases.items():
-        known = (durations or {}).get(name)
+        duration = (durations or {}).get(name)
         guessed = guess_phase_times(phase)
-        times = _draw_random_times(phase, rng, shift, known)
+        times = _draw_random_times(phase, rng, shift, duration)
         shift = times[1] - guessed[1]
         start = build_phase_guess(phase, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
@@ -66,18 +66,18 @@ def with_random_guess(
             start.states + _draw_random_revolutions(problem, phase, rng, ratio, turned),
             start.controls,
         )
-        if known is not None or not does_start_keep_guess_shape(index):
+        if duration is not None or not does_start_keep_guess_shape(index):
             magnitudes = estimate_state_and_control_magnitudes(phase)
-            least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
+            least = 0.0 if duration is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_random_states(phase, states, magnitudes[0], rng, least)
             controls = _draw_random_controls(
-                phase.numbers.controls, controls, magnitudes[1], rng, known is not None
+                phase.numbers.controls, controls, magnitudes[1], rng, duration is not None
             )
         values = _split_values_by_variable(phase.model.states, states) | _split_values_by_variable(
             phase.model.controls, controls
         )
-        twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
-    return _draw_random_parameters(twin, rng)
+        variation = variation.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
+    return _draw_random_parameters(variation, rng)
 
 
 def find_periods_of_angular_states(problem: Problem, phase: Phase) -> Array:

@@ -42,8 +42,8 @@ def with_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with the means of its guessed controls, or None on failure."""
     for name, phase in problem.phases.items():
         layout = phase.model.controls
-        held = build_phase_guess(phase, FRACTIONS).controls.mean(axis=1)
-        law = {control: held[layout.slice(control)] for control in layout.names}
+        means = build_phase_guess(phase, FRACTIONS).controls.mean(axis=1)
+        law = {control: means[layout.slice(control)] for control in layout.names}
         try:
             simulated = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
         except ProblemError:
@@ -172,10 +172,10 @@ def _integrate_guess_dynamics(
         return integrate_ode(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
-def _read_initial_state(phase: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
+def _read_initial_state(phase: Phase, values: Mapping[str, ArrayLike] | None) -> Array:
     start = guess_boundary_states(phase)[0].copy()
     for name, value in read_optional_mapping(
-        given, "initial of guess_from_simulation()", 'write {"q": 1.0}'
+        values, "initial of guess_from_simulation()", 'write {"q": 1.0}'
     ).items():
         rows = phase.model.states.slice(name)
         start[rows] = read_vector(value, phase.model.states[name].size, f"the initial value of '{name}'")

@@ -27,10 +27,10 @@ def with_curved_guess(problem: P) -> P:
     for name, phase in problem.phases.items():
         if find_nonfinite_function_at_guess(problem, phase) is None:
             continue
-        twin = problem.clone()
-        twin.phases[name].guess(**_add_sine_to_state_guess(phase))
-        if find_nonfinite_function_at_guess(twin, twin.phases[name]) is None:
-            problem = twin
+        variation = problem.clone()
+        variation.phases[name].guess(**_add_sine_to_state_guess(phase))
+        if find_nonfinite_function_at_guess(variation, variation.phases[name]) is None:
+            problem = variation
     return problem
 
 
@@ -47,5 +47,5 @@ def _add_sine_to_state_guess(phase: Phase) -> dict[str, Any]:
     def build_linear_interpolant(rows: Array) -> Callable[[Array], Array]:
         return lambda t: np.array([np.interp(t, times, row) for row in rows])
 
-    left = [name for name in layout.names if name not in phase.numbers.guess.values]
-    return {name: build_linear_interpolant(states[layout.slice(name)]) for name in left}
+    unguessed = [name for name in layout.names if name not in phase.numbers.guess.values]
+    return {name: build_linear_interpolant(states[layout.slice(name)]) for name in unguessed}
