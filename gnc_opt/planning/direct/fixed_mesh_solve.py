@@ -145,9 +145,6 @@ class _FixedMeshSolve:
         return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
 
 
-# --- repeated attempts ----------------------------------------------------------------------------------
-
-
 @dataclass(eq=False)
 class _SolveAttempts:
     """Attempts from several points with common limits; results of all (``spent``), of those with cost (``whole``)."""

@@ -73,6 +73,7 @@ class StateConstraints:
         return stack_intervals([self.samples.phase.path_bounds, self.samples.phase.state_bounds])
 
     def list_finite_limits(self, row: int) -> list[tuple[ArcKind, float]]:
+        """Return side and value of each finite limit of a row."""
         bounds = self.constraint_row_bounds
         limits = (ArcKind.LOWER, float(bounds.lower[row])), (ArcKind.UPPER, float(bounds.upper[row]))
         return [(kind, limit) for kind, limit in limits if np.isfinite(limit)]

@@ -72,6 +72,7 @@ class BangBangFlow:
 
     @property
     def final_state_sensitivity(self) -> Array:
+        """Derivative of the final state in the unknowns (n, n_unknowns)."""
         return self._step_and_final_state_sensitivities[1]
 
     def integrate_adjoint_equation(self, adjoint: Array) -> Array:

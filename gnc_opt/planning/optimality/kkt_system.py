@@ -368,6 +368,7 @@ def are_extreme_eigenvalues_converged(diagonal: list[float], subdiag: list[float
 
 
 def _normalise_matrix_rows(rows: Any) -> tuple[Any, Array]:
+    """Return the rows with norm 1 (zero rows stay), and the norms by which they were divided (m,)."""
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = replace_zeros_by_one(norms)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms

@@ -238,6 +238,7 @@ class _CostateFit:
         return residuals
 
     def expand_unknown_multipliers(self, unknowns: Array) -> Array:
+        """Return all scaled multipliers (n_multipliers,) for the unknowns."""
         multipliers = np.zeros(self._size)
         multipliers[self.columns] = unknowns[: self.columns.size]
         multipliers[self._basis] = self._response @ np.append(unknowns, 1.0)

@@ -268,9 +268,6 @@ def _compute_end_time_shift_cost(s: PhaseSamples, ends: EndPoints) -> float:
     return float(rate) + s.span * float(sum(map(abs, slopes)))
 
 
-# --- parameters -------------------------------------------------------------------------------------------
-
-
 def _compute_parameter_deviations(
     problem: Problem, solution: Solution, curvatures: Array, cost: float
 ) -> Array:

@@ -214,6 +214,7 @@ class _ControlFit:
 
 
 def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
+    """Return the quintic spline and the Akima spline of samples u (n,) at times t; of fewer than four, a polynomial."""
     if t.size < 4:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
         return polynomial, polynomial

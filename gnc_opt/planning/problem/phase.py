@@ -107,17 +107,9 @@ class Phase(StrictAttributes):
         self.name = name
         self.model = model
         self._owner = owner
-        n, controls = model.states.size, get_control_bounds(model)
-        duration = read_duration(None, name)
-        self.numbers = PhaseBoundsAndGuess(
-            None,
-            None,
-            duration,
-            unbounded_interval(n),
-            unbounded_interval(n),
-            unbounded_interval(n),
-            controls,
-        )
+        initial, final, states = (unbounded_interval(model.states.size) for _ in range(3))
+        duration, controls = read_duration(None, name), get_control_bounds(model)
+        self.numbers = PhaseBoundsAndGuess(None, None, duration, initial, final, states, controls)
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
                 f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
@@ -456,13 +448,11 @@ class Phase(StrictAttributes):
         if initial is None or final is None:
             raise ProblemError(f"{self.label} has no times: call time(initial=..., final=...).")
         if initial.is_fixed[0] and not final.is_fixed[0]:
-            return initial, intersect_bounds(
-                final, Interval(initial.lower + span.lower, initial.lower + span.upper)
-            )
+            reachable = Interval(initial.lower + span.lower, initial.lower + span.upper)
+            return initial, intersect_bounds(final, reachable)
         if final.is_fixed[0] and not initial.is_fixed[0]:
-            return intersect_bounds(
-                initial, Interval(final.lower - span.upper, final.lower - span.lower)
-            ), final
+            reachable = Interval(final.lower - span.upper, final.lower - span.lower)
+            return intersect_bounds(initial, reachable), final
         return initial, final
 
     @property
@@ -594,9 +584,8 @@ class Phase(StrictAttributes):
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
-            (states if self._get_state_or_control_layout(name, what).kind == "state" else controls)[name] = (
-                value
-            )
+            kind = self._get_state_or_control_layout(name, what).kind
+            (states if kind == "state" else controls)[name] = value
         return states, controls
 
     def _get_state_or_control_layout(self, name: str, what: str) -> Layout:
@@ -607,7 +596,6 @@ class Phase(StrictAttributes):
         if name in self.model.parameters:
             raise ProblemError(
                 f"{what}() of {self.label} got '{name}', which is a parameter of the model: use "
-                "Problem.parameter() to "
-                "optimise it or with_parameters() to change it."
+                "Problem.parameter() to optimise it or with_parameters() to change it."
             )
         raise unknown_name_error("state or control", name, f"{what}() of {self.label}", known)

@@ -88,15 +88,9 @@ def divide_phase(
     begin, end, total = phase.numbers.initial_time, phase.numbers.final_time, phase.numbers.duration
     if begin is None or end is None:
         raise ProblemError(f"{phase.label} has no times: call time(initial=..., final=...) before divide().")
-    parts = [
-        phase,
-        *phase.create_following_phases(
-            [
-                f"{phase.name}_{k + 2}"
-                for k in range(np.size(_read_phase_division_points(phase, times, fractions)))
-            ]
-        ),
-    ]
+    n_points = np.size(_read_phase_division_points(phase, times, fractions))
+    names = [f"{phase.name}_{k + 2}" for k in range(n_points)]
+    parts = [phase, *phase.create_following_phases(names)]
     marks = [begin, *_read_phase_division_times(phase, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(
@@ -127,11 +121,8 @@ def _read_phase_division_times(
     phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     what = "times" if fractions is None else "fractions"
-    values = np.ravel(
-        read_float_array(
-            _read_phase_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError
-        )
-    )
+    points = _read_phase_division_points(phase, times, fractions)
+    values = np.ravel(read_float_array(points, f"the {what} of divide()", ProblemError))
     lower, upper = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([lower, *values, upper]) > 0)):
         raise ProblemError(

@@ -20,14 +20,11 @@ from gnc_opt.planning.problem.symbolic_expressions import list_endpoint_argument
 def compute_problem_fingerprint(problem: ProblemData) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
-    digest.update(
-        repr((problem.sense, _list_variable_sizes(problem.parameters), problem.constraint_labels())).encode()
-    )
+    names = problem.sense, _list_variable_sizes(problem.parameters), problem.constraint_labels()
+    digest.update(repr(names).encode())
     for phase in problem.phases.values():
         model = phase.model
-        layouts = [
-            _list_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)
-        ]
+        layouts = [_list_variable_sizes(v) for v in (model.states, model.controls, model.parameters)]
         digest.update(repr((phase.name, layouts, phase.path_labels, tuple(phase.integrands))).encode())
         digest.update(_serialise_phase_expressions(problem, phase))
         for vector in (
@@ -36,11 +33,8 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
             *_list_numeric_arrays_of_bounds(phase.get_path_bounds()),
         ):
             digest.update(vector.tobytes())
-    digest.update(
-        _serialise_expressions(
-            list_endpoint_arguments(problem), [problem.cost, problem.constraint_expression()]
-        )
-    )
+    expressions = [problem.cost, problem.constraint_expression()]
+    digest.update(_serialise_expressions(list_endpoint_arguments(problem), expressions))
     for vector in (
         *_list_numeric_arrays_of_bounds(problem.get_boundary_constraint_bounds()),
         *_list_numeric_arrays_of_bounds(problem.get_parameter_bounds()),
@@ -71,10 +65,9 @@ def _list_numeric_arrays_of_bounds(box: Any) -> Iterable[Array]:
 
 
 def _serialise_phase_expressions(problem: ProblemData, phase: Phase) -> bytes:
+    arguments = [*phase.model.symbolic_arguments(), problem.parameter_symbols()]
     expressions = [phase.model.state_derivative(), phase.path_expression(), phase.integrand_expression()]
-    return _serialise_expressions(
-        [*phase.model.symbolic_arguments(), problem.parameter_symbols()], expressions
-    )
+    return _serialise_expressions(arguments, expressions)
 
 
 def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:

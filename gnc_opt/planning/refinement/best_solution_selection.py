@@ -84,6 +84,7 @@ class Candidate:
 
     @property
     def verdict_if_checked(self) -> Verdict | None:
+        """Verdict if the optimality check has been evaluated, else None."""
         return vars(self).get("verdict", self.solution.verdict)
 
     @property

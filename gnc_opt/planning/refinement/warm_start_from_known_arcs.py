@@ -103,6 +103,7 @@ class KnownSwitches:
 def _find_accurate_switching_times(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: NewtonStep | None = None
 ) -> tuple[PhaseStructure, BangBangExtremal] | None:
+    """Return structure and extremal if the cost is accurate and no arc is missing, else None."""
     optimum = find_optimal_switching_times(solution, structure, accuracy, known)
     return optimum if optimum is not None and optimum[1].is_cost_accurate(accuracy) else None
 

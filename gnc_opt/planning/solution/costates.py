@@ -288,6 +288,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, nonzero: Mask
 def _compute_boundary_costates(
     collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
 ) -> tuple[Array, Array]:
+    """Return the costates at the start and at the end of every segment, (n_states, K) each."""
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.build_dynamics_state_matrix(k)

@@ -298,6 +298,7 @@ def compute_segment_defects(samples: PhaseSamples) -> Array:
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
+    """Return the largest defect, relative to the variation of its state, with its location."""
     labels = samples.phase.states.labels
     defects = compute_segment_defects(samples)
     return Worst.find_largest_value(defects, lambda i, k: samples.describe_segment(k, labels[i]))

@@ -60,6 +60,7 @@ class ObjectiveError:
 
 
 def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) -> ObjectiveError:
+    """Return the estimated error of the objective from all phases; see the module."""
     infeasibility, suboptimality, scale = 0.0, 0.0, abs(objective)
     for s in samples:
         scale = max(scale, NEGLIGIBLE * s.cost_scale)
@@ -218,8 +219,8 @@ class Accuracy:
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
-    violation = end_error = (0.0, 0.0, "")
-    defect = NOTHING
+    """Return the accuracy along the integrated trajectories of all phases, with a given error of the objective."""
+    violation, end_error, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
         phase, edges = s.phase, s.phase.applied.jump_times
@@ -253,7 +254,7 @@ def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) 
 def _find_limit_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: Sequence[str]
 ) -> list[tuple[float, float, str]]:
-    """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
+    """Return [(relative size, size, location)] of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
         return []
     with np.errstate(invalid="ignore"):

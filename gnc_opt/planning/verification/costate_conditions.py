@@ -289,6 +289,7 @@ def _compute_complementarity_products(
 def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
+    """Return the largest change of the cost if a free parameter varies by its deviation within its bounds."""
     values, bounds = solution.parameter_values, solution.need_problem("verify").get_parameter_bounds()
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:

@@ -123,6 +123,7 @@ class _MinimumSearch:
 
     @cached_property
     def _control_search_ranges(self) -> tuple[Array, Array]:
+        """Lower bounds and ranges of the controls of the group, (group, 1) each."""
         lower, upper = (limit[self.group, None] for limit in get_control_search_bounds(self.s))
         return lower, upper - lower
 
@@ -146,6 +147,7 @@ class _MinimumSearch:
         )
 
     def _substitute_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+        """Return times (n,), states and controls at samples, with the shares (group, n) of the group."""
         columns, (lower, span) = self.chosen[at], self._control_search_ranges
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
@@ -306,6 +308,7 @@ class _MinimumSearch:
         return HamiltonianGain(times, *average_violation_over_time(times, np.stack([gain, share])))
 
     def _compute_hamiltonian_decrease(self, shares: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+        """Return decreases of H by shares (group, n) with a value of H (n,), and their relative sizes (n,)."""
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
         magnitude = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
         resolved = np.maximum(ROUNDING * magnitude, RESOLVED_GAIN_SHARE * self.cost_rate)

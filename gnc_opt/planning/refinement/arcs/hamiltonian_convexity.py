@@ -73,9 +73,6 @@ def compute_hamiltonian_curvature(samples: PhaseSamples) -> Array:
     return np.asarray(curvature * samples.control_scale[:, None] ** 2 / samples.hamiltonian_scale)
 
 
-# --- path constraints linear in one control ---------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class LinearPathLimits:
     """Path constraints linear in one control each: ``rows`` by control, ``slopes`` (n_paths, n_samples)."""

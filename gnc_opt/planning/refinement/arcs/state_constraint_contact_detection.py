@@ -64,6 +64,7 @@ class ContactNodes:
     scaled_multipliers: Array
 
     def add_contact_arcs(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+        """Return the structure with the arcs or touches that the multipliers of these nodes show."""
         active, order = self.scaled_multipliers > 0, structure.orders[self.row]
         nodes, (first, last) = np.flatnonzero(active), samples.phase.breaks[[0, -1]]
         touches = structure.list_touch_times(self.row, self.kind)
@@ -152,6 +153,7 @@ class ContactNodes:
 
 
 def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> list[ContactNodes]:
+    """Return the runs of neighbouring nodes near a limit of the ``rows``, each with some nonzero multiplier."""
     s, rows = constraints.samples, list(rows)
     contacts: list[ContactNodes] = []
     if not rows:
@@ -202,9 +204,6 @@ def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array
     order = np.argsort(times, kind="stable")
     multipliers = np.hstack([densities, atoms])[:, order]
     return times[order], constraints.evaluate_constraints(times, x, u)[:, order], multipliers
-
-
-# --- controls that are determined -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from gnc_opt.planning.solution.solution import Solution
 
 
 def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:
+    """Return the arcs of controls, path constraints and states of a solution, by phase."""
     problem = solution.need_problem("refine")
     return {
         name: add_contacts(detect_control_structure(s, find_constraint_arc_controls(problem, s)), problem, s)

@@ -94,9 +94,6 @@ def _adjust_arc_mesh(constraints: StateConstraints, arc_mesh: ArcMesh, tol: floa
     return arc_mesh, ", ".join(filter(None, actions))
 
 
-# --- arcs that vanish -----------------------------------------------------------------------------------
-
-
 def _remove_zero_length_subarc(_: StateConstraints, arc_mesh: ArcMesh) -> Correction:
     """Return the structure without a subarc of zero length and the action, or None if there is no such subarc."""
     structure, lengths = arc_mesh.structure, arc_mesh.structure.subarc_lengths
@@ -241,6 +238,7 @@ def find_junction_time(
 
 
 def _find_constraint_kink_time(samples: PhaseSamples, arc_mesh: ArcMesh, boundary: int, row: int) -> float:
+    """Return the time at which a control or mixed path constraint enters or leaves its limit, s; see the module."""
     before, after = (arc_mesh.structure.kinds[k][row] for k in (boundary - 1, boundary))
     bound, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction, phase, functions = before.sign or after.sign, samples.phase, samples.functions

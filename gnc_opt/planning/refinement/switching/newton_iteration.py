@@ -187,9 +187,6 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     )
 
 
-# --- switches -------------------------------------------------------------------------------------------
-
-
 def _list_control_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.phase.control_bounds
     pairs = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
