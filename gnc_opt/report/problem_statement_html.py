@@ -123,8 +123,8 @@ def build_phase_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], s
     links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
     named = set()
     for phase in problem.phases.values():
-        handed = [(name, first, change) for name, (first, change) in phase.handed.items()]
-        handed += [("time", phase.follows, np.zeros(1))] if phase.follows is not None else []
+        handed = [(name, first, change) for name, (first, change) in phase.linked_states.items()]
+        handed += [("time", phase.preceding_phase, np.zeros(1))] if phase.preceding_phase is not None else []
         for name, first, change in handed:
             equal, changed = links.setdefault((first, phase.name), ([], []))
             if np.any(change):
@@ -165,7 +165,7 @@ def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) 
         times["duration"] = span
     body = [
         f"<h3>Phase {escape(phase.name)}</h3>" if len(problem.phases) > 1 else "",
-        *(f"<p>{escape(text)}.</p>" for text in (phase.restatement.texts if phase.restatement else ())),
+        *(f"<p>{escape(text)}.</p>" for text in (phase.control_map.texts if phase.control_map else ())),
         "<h4>Dynamics</h4>",
         refer_to_identical_section_of_earlier_phase(_build_dynamics_section(problem, phase)),
         "<h4>States, controls and times</h4>",

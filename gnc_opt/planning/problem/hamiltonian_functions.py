@@ -357,8 +357,8 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     value = convert_to_sx_column(expression, "the expression to evaluate", None, ProblemError)
     value = (
         value
-        if selected.restatement is None
-        else selected.restatement.express_by_reformulated_controls(value)
+        if selected.control_map is None
+        else selected.control_map.express_by_reformulated_controls(value)
     )
     problem.check_foreign_symbols(selected, value, "the expression to evaluate")
     function = build_function_along_phase(problem, selected, "evaluate", value)

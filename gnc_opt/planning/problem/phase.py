@@ -85,22 +85,22 @@ class Phase(StrictAttributes):
     """
 
     __slots__ = (
-        "_curved",
         "_ends",
+        "_nonaffine_vectors",
         "_owner",
-        "_told_on_sphere",
+        "_unit_directions",
+        "control_map",
         "final_time",
-        "follows",
-        "handed",
         "initial_time",
         "integrands",
         "known_ends",
+        "linked_states",
         "model",
         "name",
         "numbers",
         "own_states",
         "paths",
-        "restatement",
+        "preceding_phase",
     )
 
     def __init__(self, name: str, model: Model, owner: PhaseOwner) -> None:
@@ -116,13 +116,13 @@ class Phase(StrictAttributes):
             )
             for z, g in model.algebraic_equations.items()
         }
-        self._curved: set[str] = set()
-        self._told_on_sphere: dict[str, bool] = {}
+        self._nonaffine_vectors: set[str] = set()
+        self._unit_directions: dict[str, bool] = {}
         for vector in self.vector_controls:
             self._constrain_direction_to_unit_length(vector)
-        self.restatement: ControlMap | None = None
-        self.handed: dict[str, tuple[str, Array]] = {}
-        self.follows: str | None = None
+        self.control_map: ControlMap | None = None
+        self.linked_states: dict[str, tuple[str, Array]] = {}
+        self.preceding_phase: str | None = None
         self.known_ends: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         # These states start again in the next phase, unless a link names them.
@@ -267,8 +267,8 @@ class Phase(StrictAttributes):
     @property
     def is_linked(self) -> bool:
         """Whether states of this phase are linked to another phase."""
-        return bool(self.handed) or any(
-            self.name in {f for f, _ in phase.handed.values()} for phase in self.all_phases
+        return bool(self.linked_states) or any(
+            self.name in {f for f, _ in phase.linked_states.values()} for phase in self.all_phases
         )
 
     def drop_path(self, name: str) -> None:
@@ -487,10 +487,10 @@ class Phase(StrictAttributes):
 
         This is the case if the norm is never zero, or if functions are not affine in the vector.
         """
-        if vector.name in self._told_on_sphere:
-            return self._told_on_sphere[vector.name]
+        if vector.name in self._unit_directions:
+            return self._unit_directions[vector.name]
         smallest = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
-        return bool(smallest[0] > 0) or vector.name in self._curved
+        return bool(smallest[0] > 0) or vector.name in self._nonaffine_vectors
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that functions use a vector control; ``on_sphere`` None: `has_unit_direction` follows from them."""
@@ -500,12 +500,12 @@ class Phase(StrictAttributes):
             self._record_nonaffine_vector_controls(expression)
         self._constrain_direction_to_unit_length(vector)
         if on_sphere is not None:
-            self._told_on_sphere[vector.name] = on_sphere
+            self._unit_directions[vector.name] = on_sphere
 
     def describe_reformulation(self, *texts: str) -> None:
         """Add descriptions of a reformulation that keeps the controls."""
         identity = ControlMap.create_identity_map(self.model, texts)
-        self.restatement = identity.compose_control_maps(self.restatement)
+        self.control_map = identity.compose_control_maps(self.control_map)
 
     def _constrain_direction_to_unit_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
@@ -517,8 +517,8 @@ class Phase(StrictAttributes):
     def _record_nonaffine_vector_controls(self, expression: Any) -> None:
         for vector in self.vector_controls:
             direction = self.model.symbol(vector.direction)
-            if any(ca.which_depends(expression, direction, 2)):
-                self._curved.add(vector.name)
+            if any(ca.which_depends(expression, direction, 2, True)):
+                self._nonaffine_vectors.add(vector.name)
 
     def path_expression(self) -> Any:
         """Stacked SX expression of all path constraints."""
@@ -543,9 +543,9 @@ class Phase(StrictAttributes):
 
     def find_linked_phase(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a state is linked to, and the jump (n,); None without a link."""
-        if state not in self.handed:
+        if state not in self.linked_states:
             return None
-        first, jump = self.handed[state]
+        first, jump = self.linked_states[state]
         order = list(self._owner.phases)
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
 
@@ -554,8 +554,11 @@ class Phase(StrictAttributes):
         clone = copy.copy(self)
         clone.paths, clone.integrands = dict(self.paths), dict(self.integrands)
         clone._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
-        clone._curved, clone._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
-        clone.handed, clone.known_ends = dict(self.handed), dict(self.known_ends)
+        clone._nonaffine_vectors, clone._unit_directions = (
+            set(self._nonaffine_vectors),
+            dict(self._unit_directions),
+        )
+        clone.linked_states, clone.known_ends = dict(self.linked_states), dict(self.known_ends)
         clone._owner = owner or self._owner
         return clone
 

@@ -114,7 +114,7 @@ class ControlMap:
 
     @classmethod
     def create_identity_map(cls, model: Model, texts: tuple[str, ...]) -> ControlMap:
-        """Return a restatement that does not change the controls."""
+        """Return a map that does not change the controls."""
         empty = ca.SX(0, 1)
         return cls(model, empty, empty, model.symbols("control"), texts)
 

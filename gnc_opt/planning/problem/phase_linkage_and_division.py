@@ -54,10 +54,10 @@ def build_linkage_constraints(
                 "converted: use one unit, or omit it in states=[...] and constrain() it with a factor."
             )
         value = read_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
-        second.handed[name] = (first.name, value)
+        second.linked_states[name] = (first.name, value)
         yield f"{label}_{name}", start - end, value
     if time:
-        second.follows = first.name
+        second.preceding_phase = first.name
         yield f"{label}_time", second.initial_time - first.final_time, read_vector(0.0, 1, label)
 
 

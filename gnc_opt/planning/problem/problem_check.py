@@ -167,13 +167,13 @@ def _build_path_constraint_function(problem: ProblemData, phase: Phase) -> Any:
 
 def _check_phase_start_after_predecessor(problem: ProblemData, phase: Phase) -> None:
     """Raise an error for a phase that starts with its predecessor, because ``time()`` sets the start to 0."""
-    if phase.follows is None:
+    if phase.preceding_phase is None:
         return
-    before, start = problem.phases[phase.follows].time_ranges()[0], phase.time_ranges()[0]
+    before, start = problem.phases[phase.preceding_phase].time_ranges()[0], phase.time_ranges()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{phase.label} follows phase '{phase.follows}' but starts at {_format_range(start, 0)} s, its start: "
-            f"set a free start, {phase.name}.time(initial=None, final=...)."
+            f"{phase.label} follows phase '{phase.preceding_phase}' but starts at {_format_range(start, 0)} s, its "
+            f"start: set a free start, {phase.name}.time(initial=None, final=...)."
         )
 
 

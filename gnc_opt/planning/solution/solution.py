@@ -428,7 +428,7 @@ class Solution(PrintableResult):
 
 
 def _extract_phase_trajectory(solved: PhaseSolution, phase: Phase) -> TrajectoryPhase:
-    model = phase.model if phase.restatement is None else phase.restatement.model
+    model = phase.model if phase.control_map is None else phase.control_map.model
     names = model.parameters.names
     values = {name: solved.parameters[solved.model_parameters.slice(name)] for name in names}
     signals = [solved.saturated_control(name) for name in model.controls.names]

@@ -173,7 +173,7 @@ def _summarise_lower_bound_and_norms(solution: SolutionLike) -> Iterator[tuple[s
         side = "at most" if solution.maximised else "at least"
         yield "bound", f"{side} {solution.bound}; gap {solution.gap:.1e}"
     for phase in solution.problem.phases.values() if solution.problem is not None else ():
-        for text in phase.restatement.texts if phase.restatement is not None else ():
+        for text in phase.control_map.texts if phase.control_map is not None else ():
             yield "reformulated", f"{text}{f', phase {phase.name}' * (len(solution.phases) > 1)}"
 
 

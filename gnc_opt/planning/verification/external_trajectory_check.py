@@ -54,12 +54,12 @@ from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 def reformulate_sampled_phase(problem: Problem, phase: Phase, given: SampledPhase, q: Array) -> SampledPhase:
     """Return the samples in the variables of a reformulated phase; q are the first parameters of its problem."""
-    given_model = phase.model if phase.restatement is None else phase.restatement.model
+    given_model = phase.model if phase.control_map is None else phase.control_map.model
     given = _reorder_sampled_variables(given, problem.phases[phase.name].model, given_model)
-    if phase.restatement is None:
+    if phase.control_map is None:
         return given
     arguments = [*given_model.symbolic_arguments(), problem.parameter_symbols()]
-    values = ca.densify(problem.substitute_parameters(phase, phase.restatement.values))
+    values = ca.densify(problem.substitute_parameters(phase, phase.control_map.values))
     function = ca.Function("restated", arguments, [values])
     p = read_phase_parameters(problem, problem.phases[phase.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -133,5 +133,5 @@ def test_dir_lists_what_users_may_call() -> None:
     for thing in (go, leg, go.Problem("other"), go.Model("empty")):
         assert not [name for name in dir(thing) if name.startswith("_")]
     assert {"bounds", "path", "final_state", "integral"} <= set(dir(leg))
-    assert not {"known_ends", "numbers", "clone", "handed"} & set(dir(leg))
+    assert not {"known_ends", "numbers", "clone", "linked_states"} & set(dir(leg))
     assert all(hasattr(leg, name) for name in dir(leg))

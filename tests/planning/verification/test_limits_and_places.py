@@ -485,7 +485,7 @@ def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)
     given, restated = SampledPhase(t, np.zeros((4, 9)), u), twin.phases["leg"]
-    own, restatement = reformulate_sampled_phase(problem, restated, given, np.zeros(0)), restated.restatement
+    own, restatement = reformulate_sampled_phase(problem, restated, given, np.zeros(0)), restated.control_map
     assert restatement is not None
     controls = twin.phases["leg"].model.symbols("control")
     assert np.all(np.isfinite(own.u))

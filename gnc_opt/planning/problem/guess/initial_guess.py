@@ -185,8 +185,8 @@ def guess_phase_times(phase: Phase) -> Array:
 
 def _find_phases_linked_in_time(phase: Phase) -> tuple[Phase | None, Phase | None]:
     place = next(k for k, other in enumerate(phase.all_phases) if other.name == phase.name)
-    before = (other for other in phase.all_phases[:place] if other.name == phase.follows)
-    after = (other for other in phase.all_phases[place + 1 :] if other.follows == phase.name)
+    before = (other for other in phase.all_phases[:place] if other.name == phase.preceding_phase)
+    after = (other for other in phase.all_phases[place + 1 :] if other.preceding_phase == phase.name)
     return next(before, None), next(after, None)
 
 
@@ -262,15 +262,15 @@ class _LinkedState:
             )
             open_end = np.where(np.isnan(guessed), constrained, guessed)
             values.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
-        handed = phase.find_linked_phase(name)
-        jump = np.zeros(box.lower.size) if handed is None else handed[1]
+        link = phase.find_linked_phase(name)
+        jump = np.zeros(box.lower.size) if link is None else link[1]
         return cls(phase, values[0], values[1], box, float(times[1] - times[0]), jump)
 
 
 def _find_linked_phases(phase: Phase, name: str) -> list[_LinkedState]:
     chain = [phase]
-    while handed := chain[0].find_linked_phase(name):
-        chain.insert(0, handed[0])
+    while link := chain[0].find_linked_phase(name):
+        chain.insert(0, link[0])
     while following := [
         p for p in phase.all_phases if (p.find_linked_phase(name) or (None,))[0] is chain[-1]
     ]:

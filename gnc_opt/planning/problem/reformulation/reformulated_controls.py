@@ -58,7 +58,7 @@ class ReformulatedPhase:
     model: Model
     paths: dict[str, Constraint]
     integrands: dict[str, tuple[Any, Any]]
-    restatement: ControlMap
+    control_map: ControlMap
 
     def reformulate_phase_functions(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
@@ -67,7 +67,7 @@ class ReformulatedPhase:
         phase.model = self.model.with_parameters(**known)
         phase.numbers = numbers
         phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
-        phase.restatement = self.restatement.compose_control_maps(phase.restatement)
+        phase.control_map = self.control_map.compose_control_maps(phase.control_map)
 
 
 def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:
