@@ -37,7 +37,7 @@ from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
 from gnc_opt.guidance.trajectory_replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import (
-    HELD_TIME_FACTORS,
+    FIXED_TIME_FACTORS,
     generate_feasibility_initial_points,
     has_trajectory_guess,
     solve_problem_on_mesh,

@@ -42,21 +42,21 @@ WARM_MAX_ITERATIONS = 150
 """Iterations after which a start near a known solution, or the first one from straight lines, is ended. None of 84
 problems solved from straight lines needs more than 143."""
 
-ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+ROUNDING_STATUSES = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
 """Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
 
-CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
+FEASIBILITY_STATUSES = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
 """Statuses after which the constraints are solved without the cost from several initial points: a cost, above all of a
 free final time, can drive the iterates to points where the constraint violation is stationary. Too short durations are
 the most frequent cause, so that longer ones are tried."""
 
-UNEXPLAINED = (*ROUNDING[1:], Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
+INCONCLUSIVE_STATUSES = (*ROUNDING_STATUSES[1:], Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
 """Statuses that do not indicate a property of the problem."""
 
 TRAJECTORY_START_BARRIER = 1e-2
 """Initial barrier parameter of a start from a trajectory without multipliers."""
 
-HELD_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
+FIXED_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times that are fixed while the constraints are solved."""
 
 FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
@@ -164,16 +164,16 @@ class _SolveAttempts:
         cold = ipopt and point.warm_or_cold_start == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
         first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
-        if first.status in ROUNDING and ipopt and not options.careful_pivoting:
+        if first.status in ROUNDING_STATUSES and ipopt and not options.careful_pivoting:
             reached = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
             self._solve_nonlinear_program(reached, "careful", most=TRY_MAX_ITERATIONS)
-        is_numerical = ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED)
+        is_numerical = ipopt and first.status in (*ROUNDING_STATUSES, Status.RESTORATION_FAILED)
         if self._is_solve_finished or not (cold or is_numerical):
             return
         is_cut_off = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
         self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if is_cut_off else None)
-        if self._is_solve_finished or not search or not (is_cut_off or first.status in CONSTRAINTS_FIRST):
+        if self._is_solve_finished or not search or not (is_cut_off or first.status in FEASIBILITY_STATUSES):
             return
         simulated = with_simulated_guess(self.attempt.problem)
         if simulated is not None:
@@ -189,7 +189,7 @@ class _SolveAttempts:
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
             return (last if last.status.solved else first).with_summed_iterations_and_times(self.spent)
-        conclusive = [r for r in self.whole if r.status not in UNEXPLAINED]
+        conclusive = [r for r in self.whole if r.status not in INCONCLUSIVE_STATUSES]
         fallback = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
         if last.status is Status.INTERRUPTED and not conclusive:
             return last.with_summed_iterations_and_times(self.spent)
@@ -229,7 +229,7 @@ class _SolveAttempts:
         return result
 
     def _solve_from_feasible_points(self) -> None:
-        """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
+        """Solve from points that satisfy the constraints, until a status is not in `FEASIBILITY_STATUSES`."""
         attempt = self.attempt
         starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start)
         for variables, fixed in starts:
@@ -238,7 +238,7 @@ class _SolveAttempts:
             if feasible.status.solved:
                 restart = attempt.build_scaled_nlp_point(feasible.x * attempt.scaling.variables)
                 self._solve_nonlinear_program(restart, most=TRY_MAX_ITERATIONS)
-                if self.spent[-1].status not in CONSTRAINTS_FIRST:
+                if self.spent[-1].status not in FEASIBILITY_STATUSES:
                     return
             if self._is_solve_finished:
                 return
@@ -256,7 +256,7 @@ def generate_feasibility_initial_points(
     bounds = transcription.get_variable_bounds(problem)
     yield start, times[:0]
     earlier_values: list[Array] = []
-    for stretch in HELD_TIME_FACTORS if times.size else ():
+    for stretch in FIXED_TIME_FACTORS if times.size else ():
         values = np.clip(stretch * start[times], bounds.lower[times], bounds.upper[times])
         if any(np.array_equal(values, earlier) for earlier in earlier_values):
             continue

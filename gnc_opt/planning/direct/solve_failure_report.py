@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.solution import Solution
 
-GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
+GUESS_DEPENDENT_STATUSES = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
 """Statuses of failures that another initial guess may avoid."""
 
 
@@ -50,7 +50,7 @@ def format_solve_failure_message(solution: Solution) -> str:
     meaning, _, remedy = status.remedy.partition(". ")
     remedies = [remedy]
     if problem:
-        remedies += suggest_initial_guesses(problem) if status in GUESS_HELPS else []
+        remedies += suggest_initial_guesses(problem) if status in GUESS_DEPENDENT_STATUSES else []
         norms = [text for phase in problem.phases.values() for text in find_singular_norms(problem, phase)]
         remedies += [f"{text}." for text in norms] + [describe_missing_bounds(problem)]
     ending = f"after {solution.statistics.iterations} iterations, status {status.value}"

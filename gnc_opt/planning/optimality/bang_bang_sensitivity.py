@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 FLOW_INITIAL_STEPS = 36
 """Default number of Runge-Kutta steps over the phase: accurate to 1e-4 for five revolutions of an oscillator."""
 
-ORDER = 8
+RUNGE_KUTTA_ORDER = 8
 """Order of the method: halving the step reduces the error by 2 to this power."""
 
 

@@ -31,10 +31,10 @@ from gnc_opt.planning.solution.piecewise_polynomial import subdivide_intervals
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 
-CELLS = 40
+GRAMIAN_MIN_CELLS = 40
 """Smallest number of cells of a phase with constant linearised dynamics."""
 
-_EXPONENT = 25.0
+_EXPONENT_MAX_ENTRY = 25.0
 """Largest entry of a matrix exponent; avoids overflow for dynamics much faster than a cell."""
 
 
@@ -126,7 +126,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))
     n, n_integrals = start.shape[0], phase.integrals.size
-    n_cells = -(-CELLS // phase.mesh.segments)
+    n_cells = -(-GRAMIAN_MIN_CELLS // phase.mesh.segments)
     widths, _, by_state, by_control, _ = linearise_dynamics(s)
     by_state = np.pad(by_state, ((0, 0), (0, 0), (0, n_integrals)))  # without influence of the integrals
     start = np.pad(start, (0, n_integrals))
@@ -192,13 +192,13 @@ def linearise_dynamics(s: PhaseSamples) -> tuple[Array, Array, Array, Array, Arr
 def exponentiate_matrices(matrices: Array) -> Array:
     """Return matrix exponentials (n_matrices, n, n); matrices of large norm are scaled down."""
     sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)
-    reduced = np.minimum(1.0, np.divide(_EXPONENT, sizes, out=np.ones_like(sizes), where=sizes > 0))
+    reduced = np.minimum(1.0, np.divide(_EXPONENT_MAX_ENTRY, sizes, out=np.ones_like(sizes), where=sizes > 0))
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
 def subdivide_mesh_segments(breaks: Array) -> Array:
     """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
-    return subdivide_intervals(breaks, -(-CELLS // (breaks.size - 1)))
+    return subdivide_intervals(breaks, -(-GRAMIAN_MIN_CELLS // (breaks.size - 1)))
 
 
 def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Array) -> Reach:

@@ -103,11 +103,11 @@ def compute_state_ranges(s: PhaseSamples) -> Array:
     return np.where(is_constant, magnitudes, s.state_scale)
 
 
-MEAN_SHARE = 0.1
+MEAN_MIN_SHARE = 0.1
 """Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the
 distance to the minimum of H to the deviation."""
 
-BESIDE = 1.3
+EFFECT_FACTOR = 1.3
 """Factor of a control for the test whether the control has an effect."""
 
 
@@ -125,9 +125,9 @@ def estimate_control_deviations(s: PhaseSamples) -> Array:
     move = np.where(slope > 0, np.inf, 0.0)
     move = np.minimum(np.divide(slope, curv[:, None], out=move, where=curv[:, None] > 0), width[:, None])
     is_moving = rms > SPAN_MIN_SHARE * size
-    move = np.where(is_moving[:, None], np.minimum(move, rms[:, None] / MEAN_SHARE), move)
+    move = np.where(is_moving[:, None], np.minimum(move, rms[:, None] / MEAN_MIN_SHARE), move)
     move = np.where(np.isfinite(move), move, size[:, None])
-    deviation = np.fmax(np.fmax(distance, MEAN_SHARE * mean_distance[:, None]), move)
+    deviation = np.fmax(np.fmax(distance, MEAN_MIN_SHARE * mean_distance[:, None]), move)
     is_pulled = np.sqrt(move**2 @ s.weights / span) > SPAN_MIN_SHARE * size
     is_constant = ~is_moving & ~is_pulled
     constant = _estimate_constant_control_deviation(s, size, curv)[:, None]
@@ -149,7 +149,7 @@ def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     required, rounding = estimate_required_controls(s.phase, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
-    effects = (s.functions.dynamics_control_jacobian(s.times, s.x, factor * s.u) for factor in (1.0, BESIDE))
+    effects = (s.functions.dynamics_control_jacobian(s.times, s.x, k * s.u) for k in (1.0, EFFECT_FACTOR))
     effect, changed = (np.max(np.abs(set_nonfinite_to_zero(v)), axis=(0, 2), initial=0.0) for v in effects)
     share = np.divide(effect, changed, out=np.ones_like(effect), where=changed > effect)
     if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * required, rounding)):

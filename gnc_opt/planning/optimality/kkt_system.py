@@ -225,7 +225,7 @@ def _scale_bounds(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 
-DENSE = 200
+DENSE_ROW_MIN_ENTRIES = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""
 
 
@@ -237,7 +237,7 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     band alone is singular.
     """
     matrix = scipy.sparse.csr_array(matrix)
-    dense = np.diff(matrix.indptr) > DENSE
+    dense = np.diff(matrix.indptr) > DENSE_ROW_MIN_ENTRIES
     if not np.any(dense):
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
         return solve

@@ -119,7 +119,7 @@ def _differentiate_break_times(mesh: Mesh) -> Array:
 MAX_TRANSITION_NORM = 1e4
 """Growth of adjoint errors above which costates at a boundary become additional unknowns."""
 
-_ROUNDS, _SIGN_ITERATIONS, _SIGN_ENTRIES = 8, 300, 5e6
+_ACTIVE_SET_MAX_ITERATIONS, _SIGN_MAX_ITERATIONS, _SIGN_MAX_ENTRIES = 8, 300, 5e6
 """Largest numbers of iterations of the active set, and of iterations (it needs few) and dense matrix entries (some
 seconds) of the linear program for the signs."""
 
@@ -258,7 +258,7 @@ def _fit_multipliers(
     imposed, allowed = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
     unknowns = np.zeros(fit.matrix.shape[1])
     size = float(np.max(np.abs(fit.right), initial=TINY))
-    for _ in range(_ROUNDS):
+    for _ in range(_ACTIVE_SET_MAX_ITERATIONS):
         unknowns = fit.solve_least_squares(imposed, allowed)
         multipliers = np.zeros(matrix.shape[1])
         multipliers[fit.columns] = unknowns[: fit.columns.size]
@@ -283,7 +283,7 @@ def _fit_multipliers_with_right_signs(
     n_rows = limits.is_at_any_limit.size
     residual, imposed = fit.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
     fits_exactly = max_norm(residual[imposed]) <= NEGLIGIBLE * size  # otherwise the sign does not matter
-    if not fits_exactly or fit.matrix.size > _SIGN_ENTRIES:
+    if not fits_exactly or fit.matrix.size > _SIGN_MAX_ENTRIES:
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[fit._loose], right[fit._loose] = fit.matrix, fit.right
@@ -306,7 +306,7 @@ def _fit_multipliers_with_right_signs(
         b_eq=-right[remaining],
         bounds=[*signs, *([(None, None)] * fit.freed.size), (0.0, size)],
         method="highs",
-        options={"maxiter": _SIGN_ITERATIONS},
+        options={"maxiter": _SIGN_MAX_ITERATIONS},
     )
     return None if result.status != 0 else np.asarray(result.x[:-1])
 

@@ -56,16 +56,16 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
-CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
+AFFINE_MIN_COST, CURVED_MIN_COST = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
 
-ROUGH_SAMPLES = 5
+ROUGH_STRIDE = 5
 """Interval of samples used for an approximate magnitude."""
 
 SECOND_DIFFERENCE_STEP_SHARE = 1e-4
 """Step of second differences in parameters, relative to their magnitude."""
 
-NEARER_SHARES = 1e-1, 1e-2, 1e-3, 1e-4
+REACH_SHARES = 1e-1, 1e-2, 1e-3, 1e-4
 """Shares of the reach over which boundary constraints are evaluated too: a power changes little near its zero."""
 
 KINK_STEP_RATIO = 10.0
@@ -164,7 +164,7 @@ class Scales:
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         boundary = {
-            step: ends.compute_boundary_gramian(reach, parameters, step) for step in (1.0, *NEARER_SHARES)
+            step: ends.compute_boundary_gramian(reach, parameters, step) for step in (1.0, *REACH_SHARES)
         }
         return cls(phases, cost, curvature, parameters, ends, reach, links, boundary)
 
@@ -175,7 +175,7 @@ class Scales:
         """
         phase_scales, curv = self.phases[s.phase.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = phase_scales.control_cost / self.cost
-        is_cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (curv > 0)
+        is_cheap = (shares < AFFINE_MIN_COST) & (shares > CURVED_MIN_COST) & (curv > 0)
         is_cheap &= mask_controls_with_cost_curvature(s)
         if not (np.any(gap) and np.any(is_cheap)):
             return 0.0
@@ -239,7 +239,7 @@ def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Ar
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    differences = (compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1] for step in steps)
+    differences = (compute_hamiltonian_differences(s, moves, step, ROUGH_STRIDE)[1] for step in steps)
     coarse, fine = map(set_nonfinite_to_zero, differences)
     is_smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(is_smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))

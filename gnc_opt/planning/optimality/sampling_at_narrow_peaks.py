@@ -17,10 +17,10 @@ from gnc_opt.planning.problem.kink_detection import build_threshold_crossing_fun
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
-MOST_CENTRES = 20
+MAX_CENTRES = 20
 """Largest number of feature centres per phase."""
 
-DISTANCES = 40
+N_DISTANCES = 40
 """Number of distances of cells from a centre, from `EQUAL` to `NOTABLE` of the phase."""
 
 
@@ -50,9 +50,9 @@ def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> A
     signs = np.sign(evaluate_threshold_distances(times))
     rows, intervals = np.nonzero(np.abs(np.diff(signs)) == 2)
     touched = times[np.nonzero(signs == 0)[1]]
-    rows, intervals = rows[:MOST_CENTRES], intervals[:MOST_CENTRES]
+    rows, intervals = rows[:MAX_CENTRES], intervals[:MAX_CENTRES]
     crossings = find_zero_times(evaluate_threshold_distances, rows, times[intervals], times[intervals + 1])
-    centre_times = np.concatenate([crossings, touched[:MOST_CENTRES]])[:MOST_CENTRES]
-    distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
+    centre_times = np.concatenate([crossings, touched[:MAX_CENTRES]])[:MAX_CENTRES]
+    distances = s.span * np.geomspace(EQUAL, NOTABLE, N_DISTANCES)
     edges = np.unique(centre_times[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.phase.breaks[0]) & (edges < s.phase.breaks[-1])])

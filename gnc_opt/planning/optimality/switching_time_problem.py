@@ -150,7 +150,7 @@ def _equalise_nearby_switch_times(times: Array, tolerance: float, ends: Array) -
     return times
 
 
-GRIDS = (1, 2, 4, 8, 16, 32)
+FLOW_REFINEMENTS = (1, 2, 4, 8, 16, 32)
 """Largest refinement of the flow's steps until it reaches the final state of the solution. Order and error of an
 integration are known only if it resolves the dynamics."""
 
@@ -313,12 +313,12 @@ def _choose_integration_grid(
     """Return the step refinement with which the flow reaches the final state of the solution, and the flow."""
     end = s.phase.x(s.phase.breaks[-1])
     flows = []
-    for refinement in GRIDS:
+    for refinement in FLOW_REFINEMENTS:
         flows.append(integrate_bang_bang_flow(problem, s, pieces, free_start, refinement))
         if np.all(np.abs(flows[-1].final_state[: end.size] - end) < SMALL * s.state_scale):
             return refinement, flows[-1]
     chosen = 0 if np.isfinite(flows[0].final_state).all() else -1
-    return GRIDS[chosen], flows[chosen]
+    return FLOW_REFINEMENTS[chosen], flows[chosen]
 
 
 def _count_augmented_states(s: PhaseSamples) -> int:

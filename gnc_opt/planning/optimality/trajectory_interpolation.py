@@ -30,7 +30,7 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_rule,
 )
 
-DEGREE = 4
+FIT_DEGREE = 4
 """Collocation points per sampling interval: cubic controls, of the same order as the states."""
 
 KINK_ERROR_RATIO = 0.1
@@ -39,10 +39,10 @@ KINK_ERROR_RATIO = 0.1
 JUMP_MIN_RATIO = 10.0
 """Smallest ratio of a control's change to the adjacent changes at which it is a jump."""
 
-_KNOWN_BESIDE = 8
+_KINK_MIN_SAMPLES = 8
 """Smallest number of samples between jumps for the detection of kinks."""
 
-_LOST = 1e3
+_NO_FIT = 1e3
 """Error, relative to the state, that replaces a non-finite one."""
 
 _RUNGE_KUTTA_STEPS = 4
@@ -143,7 +143,7 @@ def _find_control_jumps_between_samples(samples: SampledPhase, visible: Array) -
 
 def _find_control_kinks(t: Array, u: Array, first: int, channel: int, least: float) -> list[_Jump]:
     """Return the kinks of a control between two jumps: isolated intervals across which its slope changes."""
-    if t.size < _KNOWN_BESIDE:
+    if t.size < _KINK_MIN_SAMPLES:
         return []
     slopes = np.diff(u) / np.diff(t)
     jump, changes = np.abs(slopes[4:-1] - slopes[2:-3]), np.abs(np.diff(slopes))
@@ -238,7 +238,7 @@ def _refine_control_jump_times(
         for a, b in itertools.pairwise(ends):
             x = _propagate_states(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
         error = (x - samples.x[:, i + 1]) / magnitude
-        return np.asarray(np.nan_to_num(error, nan=_LOST, posinf=_LOST, neginf=-_LOST))
+        return np.asarray(np.nan_to_num(error, nan=_NO_FIT, posinf=_NO_FIT, neginf=-_NO_FIT))
 
     start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
     fit = scipy.optimize.least_squares(
@@ -283,7 +283,7 @@ def _fit_polynomials(
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
     slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))
-    rule = get_collocation_rule(GAUSS, DEGREE)
+    rule = get_collocation_rule(GAUSS, FIT_DEGREE)
     s = 0.5 * (1 + rule.state_nodes)[:, None, None]
     states = (
         (1 + 2 * s) * (1 - s) ** 2 * left
@@ -298,7 +298,7 @@ def _fit_polynomials(
     movable = tuple(sorted(jump_breaks & set(range(1, times.size - 1))))
     fractions = (times - times[0]) / (times[-1] - times[0])
     return FittedPhase(
-        Mesh(tuple(fractions), (DEGREE,) * widths.size, movable),
+        Mesh(tuple(fractions), (FIT_DEGREE,) * widths.size, movable),
         PiecewisePolynomial(
             times, (rule.state_nodes,) * widths.size, tuple(states[:, :, k].T for k in count)
         ),

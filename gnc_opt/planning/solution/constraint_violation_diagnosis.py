@@ -16,8 +16,8 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.transcription.scaling import Scaling
 from gnc_opt.planning.transcription.transcription import Transcription
 
-_LISTED_VIOLATIONS = 10
-_RUNNING_OFF = 1e6
+_MAX_VIOLATIONS = 10
+_DIVERGED_MIN_SIZE = 1e6
 """Magnitude of scaled variables above which they are named for an unbounded problem."""
 
 
@@ -63,7 +63,7 @@ def list_iterate_violations(
     if result.status is Status.NOT_A_NUMBER:
         causes = _find_nonfinite(problem, phases, parameters)
     rows = _find_violated_constraint_rows(transcription, problem, result, scaling)
-    return (*causes, *rows)[:_LISTED_VIOLATIONS]
+    return (*causes, *rows)[:_MAX_VIOLATIONS]
 
 
 def _find_violated_constraint_rows(
@@ -76,14 +76,14 @@ def _find_violated_constraint_rows(
     amounts = np.concatenate([limits.compute_bound_violation(values) for limits, values in limits_and_values])
     bound_labels = [f"bound of {label}" for label in transcription.variable_labels]
     labels = (*transcription.constraint_row_labels, *bound_labels)
-    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
+    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_MAX_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 
 
 def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
     largest: dict[str, Violation] = {}
     for i in np.argsort(-np.abs(scaled), kind="stable"):
-        if not abs(scaled[i]) > _RUNNING_OFF:
+        if not abs(scaled[i]) > _DIVERGED_MIN_SIZE:
             break
         label = transcription.variable_labels[i]
         largest.setdefault(label.split(",")[0], Violation(f"{label} diverges", float(abs(scaled[i]))))

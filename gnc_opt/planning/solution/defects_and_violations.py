@@ -139,10 +139,10 @@ PEAK_RISE_RATIO = 10.0
 """A peak next to a sample is located unless it would exceed the sample by more than this multiple of the difference to
 the adjacent samples."""
 
-_TRIED = np.linspace(-7 / 8, 7 / 8, 15)
+_TRIAL_POINTS = np.linspace(-7 / 8, 7 / 8, 15)
 """Points in a bracket [-1, 1], which is then reduced to the neighbours of the highest one, by a factor of 8."""
 
-_LIMITS_ROUNDS = 6
+_PEAK_ITERATIONS = 6
 
 PEAKS_PER_LIMIT = 5
 """Largest number of peaks located per limit, and of violations returned per limit."""
@@ -246,16 +246,16 @@ def _locate_violation_peaks(
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
     times, best, columns = left, np.full(left.size, -np.inf), np.arange(left.size)
-    for _ in range(_LIMITS_ROUNDS):
+    for _ in range(_PEAK_ITERATIONS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
-        trial_times = middle + half * _TRIED[:, None]
+        trial_times = middle + half * _TRIAL_POINTS[:, None]
         all_times = trial_times.ravel()
         excess_of_all = limits.compute_limit_excess(all_times, phase.x(all_times), phase.applied(all_times))
         excess = excess_of_all.reshape(left.size, *trial_times.shape)[columns, :, columns]
         best_trials = np.argmax(excess, axis=1)
         heights, peak_times = excess[columns, best_trials], trial_times[best_trials, columns]
         times, best = np.where(heights > best, peak_times, times), np.maximum(heights, best)
-        step = half * (_TRIED[1] - _TRIED[0])
+        step = half * (_TRIAL_POINTS[1] - _TRIAL_POINTS[0])
         left, right = np.maximum(left, peak_times - step), np.minimum(right, peak_times + step)
     return times, best
 
@@ -275,12 +275,12 @@ class Worst:
     def find_largest_value(cls, values: Array, describe: Callable[..., str]) -> Worst:
         """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
         if not values.size:
-            return NOTHING
+            return NO_VIOLATION
         index = np.unravel_index(np.argmax(values), values.shape)
         return cls(float(values[index]), describe(*map(int, index)))
 
 
-NOTHING = Worst(0.0, "no violation")
+NO_VIOLATION = Worst(0.0, "no violation")
 
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:

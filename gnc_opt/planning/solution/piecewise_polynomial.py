@@ -26,7 +26,7 @@ Side: TypeAlias = Literal["left", "right"]
 
 MAX_NODES = 2 * MAX_POINTS
 
-CACHED_BASES, KEPT_TIMES = 48, 4000
+CACHED_BASES, CACHED_TIMES = 48, 4000
 """Size of the basis cache: number of sets and times per set; about 10 MB."""
 
 
@@ -71,7 +71,7 @@ class PiecewisePolynomial:
             )
         times = self._clamp_times(np.atleast_1d(read_float_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
+        build = _get_interpolation_bases if times.size <= CACHED_TIMES else _build_interpolation_bases
         for group, columns, segments, basis in build(*self._breaks_and_nodes, times.tobytes(), side):
             values = self._segment_values_by_node_group[group][:, :, segments]
             result[:, columns] = np.einsum("mnt,tm->nt", values, basis)

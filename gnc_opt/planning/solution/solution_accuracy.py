@@ -24,7 +24,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, ROUNDING, set_nonfinite_to_zero
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
-    NOTHING,
+    NO_VIOLATION,
     compute_dynamics_residual,
     find_worst_defect,
     integrate_states_to_times,
@@ -220,7 +220,7 @@ class Accuracy:
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
     """Return the accuracy along the integrated trajectories of all phases, with a given error of the objective."""
-    violation, end_error, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
+    violation, end_error, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NO_VIOLATION
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
         phase, edges = s.phase, s.phase.applied.jump_times

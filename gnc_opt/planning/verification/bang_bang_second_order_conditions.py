@@ -36,7 +36,7 @@ from gnc_opt.numerical_tolerances import (
     RANK,
     max_norm,
 )
-from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
+from gnc_opt.planning.optimality.bang_bang_sensitivity import RUNGE_KUTTA_ORDER
 from gnc_opt.planning.optimality.switching_time_problem import (
     DYNAMICS_TOO_FAST,
     Switches,
@@ -53,7 +53,7 @@ from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_hamiltonian_curvature
 from gnc_opt.text_html_and_json_formatting import pluralise_noun
 
-MOST_ORDERS = 120
+MAX_SWITCH_SEQUENCES = 120
 """Largest number of orders of simultaneous switches that are tested."""
 
 
@@ -186,8 +186,8 @@ def check_bang_bang_second_order(
     )
     condition = partial(Condition, "second order", meaning=meaning, sufficient=True)
     switches = {s.phase.name: Switches.from_samples(s) for s in samples}
-    if np.prod([float(s.n_switch_sequences) for s in switches.values()]) > MOST_ORDERS:
-        reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
+    if np.prod([float(s.n_switch_sequences) for s in switches.values()]) > MAX_SWITCH_SEQUENCES:
+        reason = f"simultaneous switches have more than {MAX_SWITCH_SEQUENCES} possible orders"
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     sequences = itertools.product(*(s.list_switch_sequences() for s in switches.values()))
@@ -256,7 +256,7 @@ def _check_second_order_of_switch_sequence(
     hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = basis.T @ hessian @ basis
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
-    error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
+    error = float(np.linalg.norm(h_fine - h_coarse)) / (2**RUNGE_KUTTA_ORDER - 1) / (size + cost)
     error += EQUAL + float(np.max(np.abs(residual) / unknowns.cost_changes[free]))
     changes = half_spaces @ (basis @ vectors[:, 0])
     attained = bool(np.all(changes >= -AT_LIMIT) or np.all(changes <= AT_LIMIT))
@@ -284,7 +284,7 @@ def estimate_nearest_multipliers(
 
 
 def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
-    return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
+    return np.asarray(fine + (fine - coarse) / (2**RUNGE_KUTTA_ORDER - 1))
 
 
 def _build_switch_order_constraints(

@@ -36,7 +36,7 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.solution.defects_and_violations import NO_VIOLATION, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
@@ -95,7 +95,7 @@ def _express_path_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
 
 def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
     """Return the residual of the adjoint equation, and costate jumps without an active state constraint."""
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         along, cost = scales.phases[s.phase.name].along, scales.cost
         share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
@@ -152,7 +152,7 @@ def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
 
 def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
     """Return the residuals of the transversality conditions, of costates at free ends and of H at free times."""
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         reach = scales.phases[s.phase.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.

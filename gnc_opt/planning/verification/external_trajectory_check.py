@@ -90,15 +90,15 @@ def _fill_directions_of_zero_vectors(size: Array, direction: Array) -> Array:
     return np.asarray(direction[:, valid[np.maximum(last_valid, 0)]])
 
 
-MOST_PARTS = 4
+MAX_INTERVAL_PARTS = 4
 """Largest number of parts into which sampling intervals are divided, by halving, until the adjoint equation holds;
 costates may change faster than states."""
 
-INTERPOLATION_GROWTH, HALVED_STEPS, FEWEST_SAMPLES = 4.0, 5, 8
+INTERPOLATION_MIN_GROWTH, MAX_HALVINGS, MIN_SAMPLES = 4.0, 5, 8
 """A failure is due to interpolation if it grows by the first number without every second sample, and if the second
 number of halvings of the steps would remove it; third: smallest number of samples of a phase for this test."""
 
-NEARER = 1e-7, 1e-9
+SMALLER_DISTANCES = 1e-7, 1e-9
 """Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one if an
 estimated multiplier or costate jump is wrong, because dense samples near touch points are closer than the default."""
 
@@ -182,12 +182,12 @@ def _check_sampled_trajectory(
     verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
     path_limited = any(phase.path_labels for phase in problem.phases.values())
     uncertain = ("stationarity", "active set") if path_limited else ("active set",)
-    for near in NEARER if any(c.name in uncertain for c in verdict.failed) else ():
+    for near in SMALLER_DISTANCES if any(c.name in uncertain for c in verdict.failed) else ():
         retry = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
         if not retry.failed:
             return replace(retry, estimated=True)
     parts = 1
-    while verdict["stationarity"].result is ConditionResult.FAIL and parts < MOST_PARTS:
+    while verdict["stationarity"].result is ConditionResult.FAIL and parts < MAX_INTERVAL_PARTS:
         parts *= 2
         verdict = verify(_build_sampled_solution(problem, samples, q, parts), tol=tol)
     verdict = _mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol, parts)
@@ -202,7 +202,7 @@ def _mark_interpolation_errors_inconclusive(
     Such failures grow if every second sample is omitted, or are defects that cancel between times given twice.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
-    dense = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * FEWEST_SAMPLES}
+    dense = {name: phase for name, phase in samples.items() if phase.t.size >= 2 * MIN_SAMPLES}
     if not failed or not dense:
         return verdict
     thinned = {**samples, **{name: _remove_every_second_sample(phase) for name, phase in dense.items()}}
@@ -230,13 +230,13 @@ def _do_defects_cancel_between_repeated_times(
         ends = np.isin(s.phase.breaks[1:], t[1:][np.diff(t) == 0])
         anywhere = max(anywhere, float(np.max(sums)))
         at_ends = max(at_ends, float(np.max(sums[ends] if np.any(ends) else sums)))
-    return INTERPOLATION_GROWTH * at_ends <= anywhere
+    return INTERPOLATION_MIN_GROWTH * at_ends <= anywhere
 
 
 def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
     """Return whether an error grows enough if every second sample is omitted; defects, being integrals, always grow."""
-    grows = INTERPOLATION_GROWTH <= growth < np.inf or failed.name == "dynamics"
-    return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
+    grows = INTERPOLATION_MIN_GROWTH <= growth < np.inf or failed.name == "dynamics"
+    return grows and failed.value <= failed.tolerance * growth**MAX_HALVINGS
 
 
 def _remove_every_second_sample(samples: SampledPhase) -> SampledPhase:

@@ -23,7 +23,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.defects_and_violations import (
-    NOTHING,
+    NO_VIOLATION,
     Limits,
     Worst,
     compute_dynamics_residual,
@@ -36,14 +36,14 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
-SCANNED, SCANNED_PATHS = 4096, 32768
+SCAN_TIMES, PATH_SCAN_TIMES = 4096, 32768
 """Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss
 narrow features in time or space, such as a gust or a small keep-out zone."""
 
-MAX_WIDTHS = 100.0
+SCALE_MAX_WIDTHS = 100.0
 """Largest reference magnitude of a limit, in interval widths; at the tolerance 1e-5, an excess of 1e-3 widths fails."""
 
-LAYER_STEPS = 512
+LAYER_MIN_STEPS = 512
 """Smallest number of steps per segment with which an integral is computed again if the scan gives another value."""
 
 
@@ -67,7 +67,7 @@ def locate_maximum_over_time(s: PhaseSamples, values: Array, times: Array, label
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
     """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         worst = worst.select_larger(_find_worst_defect(s, scales, tolerance))
     return check_value_within_tolerance(
@@ -82,7 +82,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     """Return the largest measure of a defect: over a segment, inside it, or by its effect on the cost."""
-    phase, ellipsoid, dense = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCANNED)
+    phase, ellipsoid, dense = s.phase, scales.phases[s.phase.name].along, s.resample_at_even_times(SCAN_TIMES)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(dense, dense.u)
     segment_total, scanned_total = s.integrate_over_segments(residual), dense.integrate_over_segments(scanned)
     has_jump = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
@@ -134,7 +134,7 @@ def check_trajectory_limits(
             _find_state_violation(s, scales)
         )
         if s.phase.path_labels:
-            for grid in (s, s.resample_at_even_times(SCANNED_PATHS)):
+            for grid in (s, s.resample_at_even_times(PATH_SCAN_TIMES)):
                 worst = worst.select_larger(_find_path_violation(s, grid, scales))
             worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
     return check_value_within_tolerance(
@@ -162,7 +162,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     peaks = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.phase.state_bounds))
     if not peaks.times.size:
-        return NOTHING
+        return NO_VIOLATION
     radius = _cap_scale_by_interval_width(scales.phases[s.phase.name].along.radius, s.phase.state_bounds)
     sizes = peaks.excess / radius[peaks.limits.rows]
     i = int(np.argmax(sizes))
@@ -177,7 +177,7 @@ def _find_path_violation(s: PhaseSamples, grid: PhaseSamples, scales: Scales) ->
     limits = Limits.from_interval(s.functions.path_constraints, s.phase.path_bounds)
     peaks = find_limit_violations(grid, limits)
     if not peaks.times.size:
-        return NOTHING
+        return NO_VIOLATION
     sizes = _compute_limit_distances(s, scales, peaks.limits, peaks.excess, (peaks.times, peaks.x, peaks.u))
     i = int(np.argmax(sizes))
     excess = limits.compute_limit_excess(grid.times, grid.x, grid.u)
@@ -232,7 +232,7 @@ def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -
 
 def check_table_ranges(solution: Solution) -> Condition:
     """Return the condition that the trajectory stays within the tables of its models."""
-    worst, is_error = NOTHING, False
+    worst, is_error = NO_VIOLATION, False
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         distance = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
@@ -250,7 +250,7 @@ def check_boundary_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tolerance: float
 ) -> Condition:
     """Return the condition that initial and final values, times and boundary constraints hold."""
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         phase, durations = s.phase, np.full(5, s.span if s.has_duration else 1.0)
         times = np.array([phase.initial_time, phase.final_time])
@@ -278,8 +278,8 @@ def check_boundary_conditions(
 
 
 def _cap_scale_by_interval_width(scale: Array, bounds: Interval) -> Array:
-    """Return reference magnitudes (n, ...) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
-    largest = np.where(bounds.is_fixed, np.inf, MAX_WIDTHS * (bounds.upper - bounds.lower))
+    """Return reference magnitudes (n, ...) of at most `SCALE_MAX_WIDTHS` widths of intervals, except for equalities."""
+    largest = np.where(bounds.is_fixed, np.inf, SCALE_MAX_WIDTHS * (bounds.upper - bounds.lower))
     return np.fmin(scale.T, largest).T
 
 
@@ -310,7 +310,7 @@ def _find_boundary_violation(
     signed_excess = np.maximum(values - bounds.upper, 0.0) - np.maximum(bounds.lower - values, 0.0)
     excess = np.where(np.isnan(values), np.inf, np.maximum(np.abs(signed_excess) - ROUNDING * terms, 0.0))
     if not np.any(excess):
-        return NOTHING
+        return NO_VIOLATION
     distance = np.where(np.isfinite(excess), 0.0, np.inf)
     for step, (near, bends, _) in scales.boundary.items():
         reach = _cap_scale_by_interval_width(np.sqrt(np.diag(near)), bounds)
@@ -344,10 +344,10 @@ def check_reported_cost(
     for s in checked:
         phase, saved = s.phase, stored.phases[s.phase.name]
         size = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        scanned = integrate_cost_terms(s.resample_at_even_times(SCANNED))
+        scanned = integrate_cost_terms(s.resample_at_even_times(SCAN_TIMES))
         if max_norm(phase.integral_weights * (scanned - phase.integrals)) > tolerance * reference:
             # In thin layers the scan itself may be inaccurate.
-            scanned = integrate_cost_terms(s.resample_at_even_times(SCANNED, LAYER_STEPS))
+            scanned = integrate_cost_terms(s.resample_at_even_times(SCAN_TIMES, LAYER_MIN_STEPS))
         rows = [
             ("integral", phase.integral_weights * (saved.integrals - phase.integrals)),
             ("peaks between the nodes of integral", phase.integral_weights * (scanned - phase.integrals)),
@@ -379,6 +379,6 @@ def _find_bound_violation(
     violation = excess / replace_zeros_by_one(scale)
     excess, violation = (np.where(np.isnan(values), np.inf, v) for v in (excess, violation))
     if not np.any(violation > 0):
-        return NOTHING
+        return NO_VIOLATION
     i = int(np.argmax(violation))
     return Worst(float(violation[i]), _describe_violation(labels[i], units[i], excess[i]))

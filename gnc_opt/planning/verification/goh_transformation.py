@@ -47,13 +47,13 @@ from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, analyse_singular_arcs
 
-CUTS = (1e-2, 0.1), (0.9, 0.99)
+ARC_END_CUTS = (1e-2, 0.1), (0.9, 0.99)
 """Positions at which the first and the last segment of a singular arc are split, in shares of their widths."""
 
 SINGULAR_SEGMENT_MIN_POINTS = 6
 """Smallest number of collocation points of a segment of a singular arc."""
 
-OMITTED = 2
+LOWER_DEGREE = 2
 """Difference between the degrees of the states and of y."""
 
 _RADAU = ((get_collocation_points, -1.0), (get_quadrature_weights, 1.0))
@@ -94,7 +94,7 @@ def refine_mesh_at_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
         if k in mesh.movable:
             movable.append(len(breaks) - 1)
         begins, ends = singular[k] and not padded[k], singular[k] and not padded[k + 2]
-        cuts = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
+        cuts = (*(ARC_END_CUTS[0] if begins else ()), *(ARC_END_CUTS[1] if ends else ()))
         breaks += [mesh.breaks[k] + share * mesh.segment_widths[k] for share in cuts] + [mesh.breaks[k + 1]]
         degrees += [max(degree, SINGULAR_SEGMENT_MIN_POINTS) if singular[k] else degree] * (len(cuts) + 1)
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
@@ -250,7 +250,7 @@ def _build_integrated_control_variations(
     segments = np.flatnonzero(singular)
     for k, next_segment in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
         # Radau's rule, reversed to include the end of the segment.
-        nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
+        nodes, shares = (sign * rule("LGR", mesh.degrees[k] - LOWER_DEGREE)[::-1] for rule, sign in _RADAU)
         slopes = build_differentiation_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         indices = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start

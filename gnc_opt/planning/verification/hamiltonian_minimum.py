@@ -1,7 +1,7 @@
 """Global minimum of the Hamiltonian over admissible controls, by groups coupled in H or path constraints.
 
 The minimum has a closed form for a vector control in which H is affine. If H is a convex quadratic function with affine
-constraints, one descent finds it. For other groups `POINTS` controls of a Kronecker lattice are evaluated along the
+constraints, one descent finds it. For other groups `TRIALS` controls of a Kronecker lattice are evaluated along the
 phase (gaps: Slater, Proc. Cambridge Philos. Soc. 63, 1967), and Newton's method descends from the best of them.
 """
 
@@ -16,19 +16,19 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, set_nonfinite_to_zero
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_violation_over_time
-from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
+from gnc_opt.planning.optimality.optimality_check_scales import CURVED_MIN_COST
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
 
-POINTS = 2**15
+TRIALS = 2**15
 """Number of trial controls per group along a phase, for minima of a small share of the controls and of the duration."""
 
-_MOST_TIMES = 400
-_MOST_STARTS = 50
-_BEYOND = 0.05
+_MAX_TIMES = 400
+_MAX_STARTS = 50
+_LATTICE_MARGIN = 0.05
 """Share of the range by which the lattice exceeds each bound before clipping, since minima are often at bounds."""
 
-NEAREST = 1e-8
+TRIAL_MIN_DISTANCE = 1e-8
 """Smallest distance of trial controls from the applied control, as a share of the range."""
 
 RESOLVED_GAIN_SHARE = 3e-7
@@ -79,7 +79,7 @@ def compute_joint_hamiltonian_decreases(
 
     Shares refer to moves of the size of the control deviations (m,), and to the cost scale.
     """
-    chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
+    chosen = np.unique(np.linspace(0, s.times.size - 1, _MAX_TIMES).astype(int))
     gains, searched = [], False
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen, deviation, cost / s.span)
@@ -97,7 +97,7 @@ def compute_joint_hamiltonian_decreases(
 
 def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
-    chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
+    chosen = np.unique(np.linspace(0, s.times.size - 1, _MAX_TIMES).astype(int))
     lower, upper = (limit[:, None] for limit in get_control_search_bounds(s))
     slope, separable = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
     is_clear = separable & (np.abs(slope) * (upper - lower) > SMALL * s.max_hamiltonian_change)
@@ -251,7 +251,7 @@ class _MinimumSearch:
     def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_controls()
-        times = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
+        times = np.unique(np.linspace(0, self.chosen.size - 1, _MAX_STARTS).astype(int))
         starts = np.concatenate([best[times], first[times]])  # the first point of each time is arbitrary
         minimisers, minima = self.minimise_by_newton(
             np.concatenate([shares[:, starts], self._normalised_controls[:, times]], axis=1),
@@ -276,12 +276,12 @@ class _MinimumSearch:
         Half of them are distributed over the range, the others at log-uniform distances from the applied control.
         """
         n, k = self.chosen.size, self.group.size
-        times = np.repeat(np.arange(n), POINTS // n)
+        times = np.repeat(np.arange(n), TRIALS // n)
         points, applied = draw_low_discrepancy_points(times.size, k), self._normalised_controls[:, times]
-        shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
+        shares = np.clip((1 + 2 * _LATTICE_MARGIN) * points - _LATTICE_MARGIN, 0.0, 1.0)
         is_near = np.arange(times.size) % 2 == 1
         signed = 2.0 * points - 1.0
-        distance = np.sign(signed) * NEAREST ** (1.0 - np.abs(signed))
+        distance = np.sign(signed) * TRIAL_MIN_DISTANCE ** (1.0 - np.abs(signed))
         shares[:, is_near] = np.clip(applied + distance, 0.0, 1.0)[:, is_near]
         single_control = np.flatnonzero(np.arange(times.size) % 4 >= 2)
         varied = (single_control // 4) % k
@@ -333,7 +333,7 @@ class _MinimumSearch:
             second_order = 0.5 * np.tensordot(curvature, pairs, axes=([0, 1], [0, 1]))
         change = np.fmax(np.abs(slopes.T @ direction), np.abs(second_order))
         return np.asarray(
-            np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CHEAP_CURVED * self.cost_rate)
+            np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CURVED_MIN_COST * self.cost_rate)
         )
 
     def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:

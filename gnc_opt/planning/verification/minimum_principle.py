@@ -24,19 +24,19 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import (
-    CHEAP_AFFINE,
-    CHEAP_CURVED,
+    AFFINE_MIN_COST,
+    CURVED_MIN_COST,
     Scales,
     mask_controls_with_cost_curvature,
 )
-from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.solution.defects_and_violations import NO_VIOLATION, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, combine_condition_results
 from gnc_opt.planning.verification.hamiltonian_minimum import (
-    POINTS,
     RESOLVED_GAIN_SHARE,
+    TRIALS,
     compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
     get_control_search_bounds,
@@ -46,7 +46,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
 def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return the scales of decreases of H by each single control (m,), cost per second."""
     curvature = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
-    smallest = np.where(curvature > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
+    smallest = np.where(curvature > 0, CURVED_MIN_COST, AFFINE_MIN_COST) * scales.cost
     by_control = np.maximum(scales.phases[s.phase.name].control_cost, smallest)
     return np.asarray(np.minimum(by_control, scales.cost) / s.span)
 
@@ -57,7 +57,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     It is the largest integral between two ends of segments, with its sign: this displaces the states, in shares of
     their reach. Faster deviations change the cost only to second order, so that the root of the tolerance applies.
     """
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.phase.name].deviation)
         distance = _compute_control_distance_to_minimum(s, scales)
@@ -89,7 +89,7 @@ def _compute_control_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Arr
 
 def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     """Return the first-order decrease of H if controls at a bound move into the interior."""
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.phase.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
@@ -127,14 +127,14 @@ def check_minimum_principle(
         "At every time the control must minimise H among all admissible controls; a stationary value is not enough. "
         "The value is the possible reduction of H, relative to its scale."
     )
-    worst, searched, loss = NOTHING, False, 0.0
+    worst, searched, loss = NO_VIOLATION, False, 0.0
     for s in samples:
         if s.phase.controls.size:
             gain, phase_loss, was_searched = _find_largest_hamiltonian_decrease(s, scales, tolerance)
             worst, searched, loss = worst.select_larger(gain), searched or was_searched, loss + phase_loss
     if searched:
         meaning += (
-            f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "
+            f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {TRIALS} "
             "controls per phase; the search may miss a narrow minimum."
         )
     condition = check_value_within_tolerance("minimum principle", worst, tolerance, meaning)

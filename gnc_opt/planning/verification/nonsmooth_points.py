@@ -26,22 +26,22 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
-NAME = "kinks"
+KINKS = "kinks"
 
-KINKS = (
+MEANING = (
     "Dynamics and integrands must be differentiable along the trajectory. If they jump at a state, the costates jump "
     "too, which the other conditions do not include: end a phase at that state and link() the next phase to it. If the "
     "trajectory stays on a kink, gradients are not unique: state the kink as a constraint."
 )
 
 
-STEPS = 1e-4, 1e-6
+KINK_STEPS = 1e-4, 1e-6
 """Steps of second differences, relative to the reach."""
 
 FIXED_DIRECTIONS = 8
 """Number of directions that are tested in addition to the principal axes where kinks may meet."""
 
-SAME_RATIO = 0.3
+KINK_MIN_RATIO = 0.3
 """Smallest ratio of the second differences per step at both steps; it is 1 at a kink."""
 
 
@@ -77,13 +77,13 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
 def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
     """Return the condition; it affects only ``minimum`` if nothing jumps and no other condition ``fails``."""
     if found is None:
-        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", KINKS)
+        return Condition(KINKS, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", MEANING)
     if falls:
         meaning = "The cost decreases on both sides of a kink, so a nearby trajectory has a lower cost."
-        return Condition(NAME, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
+        return Condition(KINKS, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
     sufficient = not found.jump and not fails
     return Condition(
-        NAME, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, KINKS, sufficient=sufficient
+        KINKS, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, MEANING, sufficient=sufficient
     )
 
 
@@ -115,7 +115,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     if has_boundary_kinks:
         ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
     of_ends = [
-        ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in STEPS
+        ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in KINK_STEPS
     ]
     pairs = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
@@ -166,7 +166,7 @@ def _find_largest_second_difference_excess(differences: Array) -> float:
 
 
 def _compute_hamiltonian_differences_by_step(s: PhaseSamples, moves: Array) -> list[Array]:
-    return [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
+    return [compute_hamiltonian_differences(s, moves, step) for step in KINK_STEPS]
 
 
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
@@ -179,7 +179,7 @@ def _mask_kinks(coarse: Array, fine: Array, cost: float) -> Mask:
     """Return along which moves the second difference is proportional to the step, beyond rounding (n,)."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] != 0)
     large = np.abs(coarse[1]) >= SMALL * np.maximum(np.abs(coarse[0]), cost)
-    return np.asarray((ratio >= SAME_RATIO) & large & np.all(np.isfinite(fine), axis=0))
+    return np.asarray((ratio >= KINK_MIN_RATIO) & large & np.all(np.isfinite(fine), axis=0))
 
 
 def _evaluate_kink_arguments(

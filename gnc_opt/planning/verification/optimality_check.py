@@ -13,7 +13,7 @@ from gnc_opt.planning.optimality.sampling_at_narrow_peaks import choose_cell_edg
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import list_boundary_table_calls, list_table_calls
-from gnc_opt.planning.solution.defects_and_violations import NOTHING
+from gnc_opt.planning.solution.defects_and_violations import NO_VIOLATION
 from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -140,7 +140,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     scales = Scales.from_solution(solution, samples)
     nonempty = [s for s in samples if s.has_duration]
     costs = [feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol)]
-    stored_worst = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
+    stored_worst = missing.select_larger(compare_costates(samples) if with_costates else NO_VIOLATION)
     costs.append(check_stored_data(stored, solution, stored_worst, tol))
     trajectory = _check_trajectory(solution, samples, ends, scales, tol)
     cost = _combine_optimality_conditions("cost", costs)

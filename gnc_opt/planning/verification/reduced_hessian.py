@@ -63,10 +63,10 @@ PHASE_MIN_POINTS = 30
 FEATURE_CELLS = 4
 """Number of sampling cells near a narrow feature that form a segment of the mesh for variations."""
 
-SHIFT = 0.1
+HESSIAN_SHIFT = 0.1
 """Shift, as a share of the median Hessian row; large compared with curvatures that count as zero."""
 
-STEEP = 1e4
+STEEP_MIN_RATIO = 1e4
 """Multiple of the median row; larger curvatures are computed separately, as the inverse does not resolve them."""
 
 LANCZOS_STEPS = 80
@@ -260,7 +260,7 @@ def minimise_curvature(point: ProgramPoint, fixed: Mask, unit: Any = None, extra
     typical = float(np.median(row_norms[row_norms > 0])) if np.any(row_norms > 0) else 1.0
     typical = max(typical, point.rounding)  # with vanishing costates, rows are not larger
     # Rows of the integrals of control variations (Goh) are steep.
-    steep = bool(np.max(row_norms, initial=0.0) >= STEEP * typical)
+    steep = bool(np.max(row_norms, initial=0.0) >= STEEP_MIN_RATIO * typical)
     direction = _find_direction_of_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
@@ -278,7 +278,7 @@ def minimise_curvature(point: ProgramPoint, fixed: Mask, unit: Any = None, extra
 
 
 def _find_direction_of_least_curvature(
-    space: NullSpace, hessian: Any, steep: bool, shift: float = SHIFT
+    space: NullSpace, hessian: Any, steep: bool = True, shift: float = HESSIAN_SHIFT
 ) -> Array | None:
     """Return the direction of smallest curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
@@ -309,6 +309,6 @@ def _find_negative_curvature_direction(space: NullSpace, hessian: Any) -> Array 
     project = space.invert_projected_hessian()
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
-    if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):
+    if not values.size or values[0] > -max(STEEP_MIN_RATIO, NEGLIGIBLE * float(np.max(np.abs(values)))):
         return None
     return np.asarray(project(vectors[:, 0]))

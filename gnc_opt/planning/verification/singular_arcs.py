@@ -34,7 +34,7 @@ from gnc_opt.planning.verification.feasibility import combine_condition_results
 SINGULAR_ARC_MAX_ORDER = 3
 """Largest order of singular arcs that is tested."""
 
-MOST_INSTRUCTIONS = 200_000
+MAX_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function above which no further derivative is computed."""
 
 TOO_LARGE = "the switching function has too large a derivative of order"
@@ -186,7 +186,7 @@ class SwitchingFunctionDerivatives:
         if j not in self._functions:
             matrix = ca.vec(ca.densify(ca.jacobian(self._differentiate_switching_functions(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])
-            self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
+            self._functions[j] = function if function.n_instructions() <= MAX_INSTRUCTIONS else None
         found: Callable[..., Any] | None = self._functions[j]
         return found
 

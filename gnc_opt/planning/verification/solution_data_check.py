@@ -11,7 +11,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, evaluate_endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.solution.defects_and_violations import NO_VIOLATION, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -20,14 +20,14 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data_to_solution
 from gnc_opt.planning.verification.feasibility import check_value_within_tolerance, integrate_cost_terms
 
-_EXACT = (
+_PROBLEM_FIELDS = (
     "parameters",
     *("state_bounds", "control_bounds", "path_bounds", "initial_bounds", "final_bounds"),
     *("initial_time_bounds", "final_time_bounds", "duration_bounds"),
 )
 """Fields of a phase solution that equal those of the problem."""
 
-_DUAL = (
+_COSTATE_FIELDS = (
     *("lam", "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers"),
     *("control_multipliers", "state_impulses", "time_multipliers", "duration_multiplier", "integral_weights"),
     *("parameter_multipliers", "constraint_multipliers"),
@@ -96,7 +96,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     if stored.maximised != (checked.need_problem("verify").sense < 0):
         worst = Worst(np.inf, "the problem and the solution optimise in opposite directions")
     for name, phase in checked.phases.items():
-        for what in _EXACT:
+        for what in _PROBLEM_FIELDS:
             values = (_get_stored_value_arrays(owner, what) for owner in (stored.phases[name], phase))
             for a, b in zip(*values, strict=True):
                 difference = float(np.max(_compute_relative_difference(a, b), initial=0.0))
@@ -117,7 +117,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
 
     Costates at the points of other schemes than Gauss are of lower order than the polynomials, and not compared.
     """
-    worst = NOTHING
+    worst = NO_VIOLATION
     for s in samples:
         phase, share = s.phase, s.state_scale / s.cost_scale
         comparisons = [
@@ -193,7 +193,7 @@ def _require_matching_problem_sizes(problem: Problem, solution: Solution) -> Non
 def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
     for field in fields(owner):
         value = getattr(owner, field.name)
-        if field.name in _DUAL and not with_costates:
+        if field.name in _COSTATE_FIELDS and not with_costates:
             continue
         if isinstance(value, PiecewisePolynomial):
             for k, piece in enumerate(value.values):
@@ -202,7 +202,7 @@ def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, wit
                     return Worst(float("inf"), f"{place}{segment}, {field.name} is not finite")
         elif isinstance(value, (float, np.ndarray)) and not np.all(np.isfinite(value)):
             return Worst(float("inf"), f"{place}{field.name} is not finite")
-    return NOTHING
+    return NO_VIOLATION
 
 
 def _get_stored_value_arrays(phase: PhaseSolution, name: str) -> tuple[Array, ...]:

@@ -48,7 +48,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.solution_data_check import get_endpoint_gradients, recompute_stored_data
 
-_ANYWHERE = 0.73 + 0.41j
+_PENCIL_TEST_POINT = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
 
 
@@ -125,8 +125,8 @@ def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mas
     a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
         return False
-    s = _ANYWHERE * max(max_norm(a), 1.0)
-    pencil = np.block([[a - s * np.eye(len(a)), b], [h]])
+    s = _PENCIL_TEST_POINT * max(max_norm(a), 1.0)
+    pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
     return _has_full_column_rank(pencil)
 
 

@@ -30,7 +30,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import expl
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 
-MOST_TOGETHER = 24
+MAX_COMBINED_JUMPS = 24
 """Largest number of jumps whose shifts are combined; with more jumps, not all combinations are tested."""
 
 _MEANING = (
@@ -49,11 +49,11 @@ def check_switching_times(
     if jumps and _are_control_jump_times_variables(jumps, samples):
         jumps, location = [], f"{location}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
-    groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
+    groups = [jumps[k : k + MAX_COMBINED_JUMPS] for k in range(0, len(jumps), MAX_COMBINED_JUMPS)]
     ordered = sorted(samples, key=lambda s: s.phase.initial_time)
     shifted = [ShiftedTrajectory(solution, ordered, ends, scales, group) for group in groups]
     decreases = list(filter(None, (group.find_second_order_cost_decrease() for group in shifted)))
-    location += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
+    location += f": not all shifts of more than {MAX_COMBINED_JUMPS} are combined" if len(groups) > 1 else ""
     worst, certain = max(decreases, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, location), False))
     result = combine_condition_results(len(groups) <= 1 and not decreases, certain)
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)

@@ -61,10 +61,10 @@ from gnc_opt.planning.verification.active_limits_and_touch_points import (
 SHIFT_STEP_SHARE = 0.02
 """Larger step, as a share of the shorter arc next to a jump."""
 
-SLOPE_STEP, LARGEST_MOVE = 0.01, 0.1
+SLOPE_STEP_SHARE, MAX_CHANGE = 0.01, 0.1
 """Steps for slopes, relative to the larger step; largest change of the end conditions by a step, relative to range."""
 
-SECOND_ORDER = (0.1, 0.6)
+DECREASE_RATIOS = (0.1, 0.6)
 """Ratios of the decreases at a step and half of it that indicate second order."""
 
 
@@ -105,13 +105,13 @@ class ShiftedTrajectory:
     def find_second_order_cost_decrease(self) -> tuple[Worst, bool] | None:
         """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.end_and_parameter_variations)
-        slope_steps = SLOPE_STEP * np.eye(n + m)
+        slope_steps = SLOPE_STEP_SHARE * np.eye(n + m)
         values, violations = self.integrate_lagrangian_changes(np.hstack([slope_steps, -slope_steps]))
         if not np.all(np.isfinite(values)):
             return None
-        slopes = 0.5 * (violations[:, : n + m] - violations[:, n + m :]) / SLOPE_STEP
+        slopes = 0.5 * (violations[:, : n + m] - violations[:, n + m :]) / SLOPE_STEP_SHARE
         # With unstable dynamics, full steps exceed the range of the second-order expansion.
-        steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
+        steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / MAX_CHANGE)
         slopes *= steps
         basis = steps[:, None] * _find_directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
         if not np.any(basis[:n]):
@@ -136,7 +136,7 @@ class ShiftedTrajectory:
         sizes = np.linalg.norm(violations, axis=0)
         valid = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
         threshold = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
-        certain = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & valid & (fine > threshold)
+        certain = (ratio >= DECREASE_RATIOS[0]) & (ratio <= DECREASE_RATIOS[1]) & valid & (fine > threshold)
         # Means of both signs have no first-order errors, so smaller decreases of second order are certain.
         mean, half = (0.5 * (v + np.roll(v, count // 2)) for v in (coarse, fine))
         quadratic = (np.abs(mean - 4 * half) <= 0.1 * mean) & valid & np.roll(valid, count // 2)

@@ -17,8 +17,8 @@ import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import LinearPathLimits
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
-    FREE_SPAN,
-    FREE_SPAN_POINTS,
+    FREE_INTERVAL,
+    FREE_INTERVAL_POINTS,
     find_simultaneous_switches,
     split_simultaneous_switch_times,
 )
@@ -82,9 +82,9 @@ def test_instants_are_free_for_what_changes() -> None:
     assert split.structure.kinds == (*kinds[:2], (FREE,) * 3, (FREE,) * 3, kinds[2])
     mesh = split.build_mesh()
     np.testing.assert_allclose(
-        mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
+        mesh.breaks, [0.0, 0.25, 0.5 - FREE_INTERVAL, 0.5, 0.5 + FREE_INTERVAL, 1.0], atol=1e-15
     )
-    assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6)
+    assert mesh.degrees == (4, 5, FREE_INTERVAL_POINTS, FREE_INTERVAL_POINTS, 6)
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what

@@ -391,15 +391,15 @@ def test_costates_count_in_shares_of_the_cost() -> None:
 @pytest.mark.parametrize(
     ("actions", "error", "of_objective", "nearby", "expected"),
     [
-        (s.RAISED, 1e-8, 1e-8, True, True),
-        (f"{s.RAISED}, {s.SMOOTHED}", 1e-8, 1e-8, True, True),
-        (s.RAISED, 1e-6, 1e-6, True, True),  # the tolerance
-        (s.RAISED, 2e-6, 1e-8, True, False),
-        (s.RAISED, 1e-8, 2e-6, True, False),
-        (f"{s.KINKS_MOVED}, {s.RAISED}", 1e-8, 1e-8, True, False),
+        (s.REFINED, 1e-8, 1e-8, True, True),
+        (f"{s.REFINED}, {s.DEGREE_RAISED}", 1e-8, 1e-8, True, True),
+        (s.REFINED, 1e-6, 1e-6, True, True),  # the tolerance
+        (s.REFINED, 2e-6, 1e-8, True, False),
+        (s.REFINED, 1e-8, 2e-6, True, False),
+        (f"{s.KINKS_MOVED}, {s.REFINED}", 1e-8, 1e-8, True, False),
         ("arc removed", 1e-8, 1e-8, True, False),
-        (s.RAISED, 1e-8, 1e-8, False, False),  # switching times are optimised beyond the tolerance
-        (s.RAISED, 0.0, 0.0, False, True),
+        (s.REFINED, 1e-8, 1e-8, False, False),  # switching times are optimised beyond the tolerance
+        (s.REFINED, 0.0, 0.0, False, True),
     ],
 )
 def test_a_structure_is_final_if_only_its_mesh_would_change(

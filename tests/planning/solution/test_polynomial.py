@@ -14,7 +14,7 @@ from testing.internals import get_collocation_rule
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.planning.solution.piecewise_polynomial import (
-    KEPT_TIMES,
+    CACHED_TIMES,
     PiecewisePolynomial,
     subdivide_intervals,
 )
@@ -79,7 +79,7 @@ def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> Non
     np.testing.assert_allclose(shifted(t + 1.0)[0], t**3, rtol=1e-13)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(curve))(t), curve(t))
     np.testing.assert_array_equal(copy.deepcopy(curve)(t), curve(t))
-    many = np.linspace(1.0, 4.5, KEPT_TIMES + 2)
+    many = np.linspace(1.0, 4.5, CACHED_TIMES + 2)
     np.testing.assert_array_equal(curve(many)[:, 1:9], curve(many[1:9]))
 
 

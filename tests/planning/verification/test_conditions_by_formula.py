@@ -584,10 +584,12 @@ def test_cost_integrals_and_weights_in_shares_of_the_cost() -> None:
 
 
 def test_stored_numbers_are_those_of_the_problem() -> None:
-    names = dict.fromkeys(stored._EXACT, interval(1.0, 2.0)) | {"parameters": np.array([4.0])}
+    names = dict.fromkeys(stored._PROBLEM_FIELDS, interval(1.0, 2.0)) | {"parameters": np.array([4.0])}
     checked = fake(need_problem=lambda _: fake(sense=1.0), phases={"leg": fake(**names)})
 
-    def check(missing: Worst = feasibility.NOTHING, maximised: bool = False, **changes: Any) -> go.Condition:
+    def check(
+        missing: Worst = feasibility.NO_VIOLATION, maximised: bool = False, **changes: Any
+    ) -> go.Condition:
         return stored.check_stored_data(
             fake(maximised=maximised, phases={"leg": fake(**(names | changes))}), checked, missing, 1e-5
         )
@@ -750,7 +752,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(
         costates,
         "_check_time_transversality",
-        lambda s, ends, d, own: drifts.append(d.tolist()) or feasibility.NOTHING,
+        lambda s, ends, d, own: drifts.append(d.tolist()) or feasibility.NO_VIOLATION,
     )
     own = scales(start=round_ellipsoid(1.0, 2.0), end=round_ellipsoid(1.0, 2.0))
     effects: list[Any] = []

@@ -11,7 +11,7 @@ from testing.constructed_solutions import fake, interval
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.solution.defects_and_violations import NO_VIOLATION, Worst
 from gnc_opt.planning.verification import active_limits_and_touch_points as limit_terms
 from gnc_opt.planning.verification import bang_bang_second_order_conditions as bang_bang
 from gnc_opt.planning.verification import external_trajectory_check as external
@@ -72,7 +72,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     second order and switching times; followed by what was evaluated."""
     state = {
         "costates": True,
-        "missing": NOTHING,
+        "missing": NO_VIOLATION,
         "least": False,
         "unique": False,
         "concave": None,
@@ -107,7 +107,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))
     result("has_costates", state["costates"])
     result("find_nonfinite_stored_value", state["missing"])
-    result("compare_costates", NOTHING, "i")
+    result("compare_costates", NO_VIOLATION, "i")
     names = ("dynamics", "limits", "boundary conditions", "cost")
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
     functions = ("dynamics", "trajectory_limits", "boundary_conditions", "reported_cost")

@@ -538,7 +538,7 @@ def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.Mo
         breaks=(0.0, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
+    monkeypatch.setattr(singular, "MAX_INSTRUCTIONS", 0)
     (arc,) = singular.analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the switching function has too large a derivative of order 0"

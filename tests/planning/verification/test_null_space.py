@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from gnc_opt.planning.optimality import kkt_system as null_space
-from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
+from gnc_opt.planning.optimality.bang_bang_sensitivity import RUNGE_KUTTA_ORDER
 from gnc_opt.planning.optimality.kkt_system import (
     NullSpace,
     ProgramLimits,
@@ -122,7 +122,7 @@ def test_lanczos_takes_no_more_steps_than_allowed_or_than_settle_the_ends() -> N
 
 
 def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:
-    coarse, fine = 2.0 + 3.0 * 0.2**ORDER, 2.0 + 3.0 * 0.1**ORDER
+    coarse, fine = 2.0 + 3.0 * 0.2**RUNGE_KUTTA_ORDER, 2.0 + 3.0 * 0.1**RUNGE_KUTTA_ORDER
     assert _extrapolate_richardson(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
 
 

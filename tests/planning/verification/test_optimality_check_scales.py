@@ -24,7 +24,7 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric_matrix
+from gnc_opt.planning.optimality.kkt_system import DENSE_ROW_MIN_ENTRIES, factorise_symmetric_matrix
 from gnc_opt.planning.optimality.optimality_check_scales import Scales, _compute_parameter_deviations
 from gnc_opt.planning.optimality.trajectory_interpolation import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
@@ -801,7 +801,7 @@ def test_factors_with_dense_rows_are_no_larger_than_those_of_the_band(
 
     monkeypatch.setattr(scipy.sparse.linalg, "splu", noted)
     matrix = saddle(2, np.arange(N + 2))
-    assert np.max(np.diff(matrix.indptr)) > DENSE
+    assert np.max(np.diff(matrix.indptr)) > DENSE_ROW_MIN_ENTRIES
     factorise_symmetric_matrix(matrix)
     assert max(seen) < 20 * N
 

@@ -18,7 +18,7 @@ from gnc_opt.planning.refinement.staged_refinement import guess_by_minimum_hamil
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
 from gnc_opt.planning.verification.hamiltonian_minimum import (
-    POINTS,
+    TRIALS,
     _MinimumSearch,
     compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
@@ -330,7 +330,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     found = search(s)
     shares, at = found._sample_trial_controls()[:2]
     n = s.times.size
-    assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
+    assert at.size == (TRIALS // n) * n and np.all(np.bincount(at) == TRIALS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
     moved = np.abs(shares - found._normalised_controls[:, at]) > 1e-12
     kind = np.arange(at.size) % 4
@@ -378,9 +378,9 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 
 def test_times_are_no_more_than_four_hundred() -> None:
     s = flown(coupled(bowl), breaks=tuple(np.linspace(0.0, 2.0, 41)))
-    assert s.times.size > least_hamiltonian._MOST_TIMES
+    assert s.times.size > least_hamiltonian._MAX_TIMES
     (gain,), _ = compute_joint_hamiltonian_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
-    assert gain.times.size == least_hamiltonian._MOST_TIMES
+    assert gain.times.size == least_hamiltonian._MAX_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
 
 

@@ -24,7 +24,7 @@ from gnc_opt.numerical_tolerances import NEGLIGIBLE
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
-    ORDER,
+    RUNGE_KUTTA_ORDER,
     BangBangFlow,
     PiecewiseControl,
     integrate_bang_bang_flow,
@@ -36,7 +36,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
 from gnc_opt.planning.optimality.switching_time_problem import Switches, _equalise_nearby_switch_times
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
-    CUTS,
+    ARC_END_CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
     _mask_segments_without_active_limits,
     mask_singular_segments,
@@ -491,7 +491,7 @@ def test_half_the_width_of_steps_leaves_a_256th_of_the_error() -> None:
     case = van_der_pol()
     coarse, fine, best = (case.flow(n, 3).final_state for n in (4, 8, 30))
     ratio = np.linalg.norm(coarse - best) / np.linalg.norm(fine - best)
-    assert 2 ** (ORDER - 0.7) < ratio < 2 ** (ORDER + 1.5)
+    assert 2 ** (RUNGE_KUTTA_ORDER - 0.7) < ratio < 2 ** (RUNGE_KUTTA_ORDER + 1.5)
 
 
 # Singular arcs: Goh's condition and the generalised Legendre-Clebsch condition, against hand-made
@@ -986,7 +986,7 @@ def test_segments_with_an_active_limit_are_not_varied_by_integrals(limit: str, f
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
     finer = refine_mesh_at_singular_arc_ends(mesh, np.array([False, True, False]))
-    first, last = CUTS
+    first, last = ARC_END_CUTS
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])

@@ -45,8 +45,8 @@ from gnc_opt.planning.solution.solution import Solution
 KINK_MAX_MOVE_SHARE = 0.5
 """Largest move of a junction in one pass, relative to the shorter adjacent subarc."""
 
-KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
-LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
+KINKS_MOVED, REFINED, DEGREE_RAISED = "junctions moved", "mesh refined", "degree of singular controls raised"
+LIMITS_RELEASED, ARC_REMOVED = "limits next to touch points released", "arc of zero length removed"
 
 
 def correct_arc_structure(
@@ -84,12 +84,12 @@ def _adjust_arc_mesh(constraints: StateConstraints, arc_mesh: ArcMesh, tol: floa
         vanished = np.flatnonzero(shifted.subarc_lengths < GONE * (shifted.times[-1] - shifted.times[0]))
         if vanished.size:
             remaining = arc_mesh.structure.replace_subarc_by_touch(int(vanished[0]))
-            return arc_mesh.replace_control_structure(remaining), VANISHED
+            return arc_mesh.replace_control_structure(remaining), ARC_REMOVED
     if finer and not shifted and not arc_mesh.loose and any(arc_mesh.structure.touches):
-        return replace(arc_mesh, loose=True), LOOSENED
+        return replace(arc_mesh, loose=True), LIMITS_RELEASED
     subarc_meshes = finer.subarc_meshes if finer else arc_mesh.subarc_meshes
     is_smoother = any(a.smooth > b.smooth for a, b in zip(subarc_meshes, arc_mesh.subarc_meshes, strict=True))
-    actions = (KINKS_MOVED if shifted else "", SMOOTHED if is_smoother else RAISED if finer else "")
+    actions = (KINKS_MOVED if shifted else "", DEGREE_RAISED if is_smoother else REFINED if finer else "")
     arc_mesh = replace(arc_mesh, structure=shifted or arc_mesh.structure, subarc_meshes=subarc_meshes)
     return arc_mesh, ", ".join(filter(None, actions))
 
@@ -100,7 +100,7 @@ def _remove_zero_length_subarc(_: StateConstraints, arc_mesh: ArcMesh) -> Correc
     shortest = int(np.argmin(lengths))
     if structure.n_subarcs == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    return structure.replace_subarc_by_touch(shortest), VANISHED
+    return structure.replace_subarc_by_touch(shortest), ARC_REMOVED
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------

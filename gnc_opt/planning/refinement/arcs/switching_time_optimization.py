@@ -23,10 +23,10 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.structure_update import (
+    DEGREE_RAISED,
     KINKS_MOVED,
-    LOOSENED,
-    RAISED,
-    SMOOTHED,
+    LIMITS_RELEASED,
+    REFINED,
     correct_arc_structure,
 )
 from gnc_opt.planning.refinement.collocation_error_estimate import print_iterations, record_iteration
@@ -200,7 +200,7 @@ class StructureIteration:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            if not set(action.split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED, LOOSENED}:
+            if not set(action.split(", ")) <= {KINKS_MOVED, REFINED, DEGREE_RAISED, LIMITS_RELEASED}:
                 old_structures, new_structures = (
                     {name: arc_mesh.structure.with_switch_times(()) for name, arc_mesh in meshes.items()}
                     for meshes in (solved_meshes, arc_meshes)
@@ -212,7 +212,7 @@ class StructureIteration:
 
     def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
         """Return whether the solution is accurate enough, and subarcs would only be refined further."""
-        tolerance, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
+        tolerance, refined_only = self.tol if self.nearby else 0.0, {REFINED, DEGREE_RAISED}
         if record.error > tolerance or not set(str(record.actions).split(", ")) <= refined_only:
             return False
         return solution.objective_error.relative_error <= tolerance
@@ -234,19 +234,19 @@ class StructureIteration:
         return replace(found, problem=self.problem)
 
 
-FREE_SPAN = 3e-6
+FREE_INTERVAL = 3e-6
 """Length of the intervals, relative to the phase; in shorter ones, multipliers are dominated by rounding."""
 
-FREE_SPAN_POINTS = 2
+FREE_INTERVAL_POINTS = 2
 """Collocation points of each interval."""
 
-FREE_SPANS_MIN = 10.0
+SUBARC_MIN_INTERVALS = 10.0
 """Shortest subarc with space for an interval, in interval lengths."""
 
 
 def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with sufficiently long adjacent subarcs."""
-    shortest = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
+    shortest = SUBARC_MIN_INTERVALS * FREE_INTERVAL * (structure.times[-1] - structure.times[0])
     return tuple(
         k
         for k in range(1, structure.n_subarcs)
@@ -266,7 +266,7 @@ def solve_with_split_switches(
         split = split_simultaneous_switch_times(arc_mesh)
         problem, mesh = split.fix_arcs_in_problem(problem, name), split.build_mesh()
         lengths = np.diff(mesh.breaks)  # the ends of the intervals are fixed
-        movable = tuple(k for k in mesh.movable if min(lengths[k - 1 : k + 1]) > 2 * FREE_SPAN)
+        movable = tuple(k for k in mesh.movable if min(lengths[k - 1 : k + 1]) > 2 * FREE_INTERVAL)
         meshes[name] = replace(mesh, movable=movable)
     tight_options = replace(options, tolerance=min(ROUNDING, options.tolerance))
     result = solve_problem_on_mesh(problem, meshes, guess=solution, options=tight_options, budget=budget)
@@ -293,7 +293,7 @@ def _copy_multipliers(solution: Solution, other: Solution, arc_meshes: Mapping[s
 def split_simultaneous_switch_times(arc_mesh: ArcMesh) -> ArcMesh:
     """Return the mesh with intervals before and after shared boundaries in which the changing rows are interior."""
     s = arc_mesh.structure
-    shared, span = find_simultaneous_switches(s), FREE_SPAN * (s.times[-1] - s.times[0])
+    shared, span = find_simultaneous_switches(s), FREE_INTERVAL * (s.times[-1] - s.times[0])
     times, kinds, subarc_meshes = [s.times[0]], list[tuple[ArcKind, ...]](), list[SubarcMesh]()
     for k, (own, subarc_mesh) in enumerate(zip(s.kinds, arc_mesh.subarc_meshes, strict=True)):
         begins, ends = k in shared, k + 1 in shared
@@ -303,7 +303,7 @@ def split_simultaneous_switch_times(arc_mesh: ArcMesh) -> ArcMesh:
             changed = s.find_changed_arcs(boundary) if boundary else ()
             times.append(end)
             kinds.append(tuple(ArcKind.INTERIOR if i in changed else kind for i, kind in enumerate(own)))
-            subarc_meshes.append(SubarcMesh(1, FREE_SPAN_POINTS) if boundary else subarc_mesh)
+            subarc_meshes.append(SubarcMesh(1, FREE_INTERVAL_POINTS) if boundary else subarc_mesh)
     touches_by_time = dict(zip(s.times, s.touches, strict=True))
     touches = tuple(touches_by_time.get(t, ()) for t in times)
     structure = replace(s, times=tuple(times), kinds=tuple(kinds), touches=touches)
