@@ -31,7 +31,7 @@ from gnc_opt.simulation.compiled_closed_loop import MAX_STEPS_PER_CALL, Compiled
 OUTPUTS = ("commands", "applied")
 """Parts of the log that are linearised."""
 
-_CARRIED = ("plant", "sensor", "actuator", "push", "memory")
+_PARTS = ("plant", "sensor", "actuator", "push", "memory")
 """First words of the parts of X that are linearised."""
 
 
@@ -75,7 +75,7 @@ class Linearization:
         parts = self.loop.kernel.state.parts
         held = {"memory": len(self.filter_covariance_indices)}
         return ColumnLayout(
-            tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
+            tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _PARTS)
         )
 
     @property

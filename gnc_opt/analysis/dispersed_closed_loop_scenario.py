@@ -23,7 +23,7 @@ from gnc_opt.simulation.monte_carlo import MeasureFunction, SuccessCriteria, rea
 from gnc_opt.simulation.simulation_run_outcome import RunStatus
 from gnc_opt.workers import SharedObject, WorkerPool
 
-_FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
+_COMPLETED = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 """Statuses of runs that have not failed."""
 
 
@@ -105,7 +105,7 @@ class Scenario(StrictAttributes):
     def compute_performance_measure(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""
         campaign = self.simulate_campaign(P, seeds)
-        completed = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
+        completed = np.array([outcome.status in _COMPLETED for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
         return np.where(completed & ~np.isnan(values), values, np.inf)
 

@@ -26,7 +26,7 @@ from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario, run_tasks_
 from gnc_opt.argument_checks import read_integer, read_probability, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.simulation.campaign_batches_and_checkpoints import MOST_PER_BATCH
+from gnc_opt.simulation.campaign_batches_and_checkpoints import BATCH_MAX_RUNS
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import draw_dispersed_parameters
 from gnc_opt.text_html_and_json_formatting import PrintableResult
@@ -149,7 +149,7 @@ def sobol_indices(
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _SobolDesign(scenario, measure)
-    chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
+    chunks = [range(k, min(k + BATCH_MAX_RUNS, count)) for k in range(0, count, BATCH_MAX_RUNS)]
     f = np.hstack(
         run_tasks_in_workers(design, _SobolDesign.simulate_sobol_sample_matrices, chunks, executor, name)
     )

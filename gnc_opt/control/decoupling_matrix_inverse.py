@@ -35,9 +35,9 @@ from gnc_opt.numerical_tolerances import is_rank_deficient
 
 SINGULAR = "singular"
 """Name of the alarm."""
-GUARD = 0.05
+DETERMINANT_MIN_SHARE = 0.05
 """Smallest |det E| at which the law is applied, relative to the largest on the reference."""
-GROWTH = 1e-9
+ZERO_DYNAMICS_MAX_GROWTH = 1e-9
 """Zero dynamics count as unstable when they grow faster than this, 1/s."""
 
 

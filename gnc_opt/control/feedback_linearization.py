@@ -20,8 +20,8 @@ from gnc_opt.argument_checks import read_float_array, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import Limits, read_control_limits, report_control_authority
 from gnc_opt.control.decoupling_matrix_inverse import (
-    GROWTH,
-    GUARD,
+    DETERMINANT_MIN_SHARE,
+    ZERO_DYNAMICS_MAX_GROWTH,
     GuardedLaw,
     build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
@@ -53,8 +53,8 @@ def design_feedback_linearization(
     *,
     outputs: Outputs,
     poles: Sequence[complex] | Mapping[str, Sequence[complex]],
-    guard: float = GUARD,
-    growth: float = GROWTH,
+    guard: float = DETERMINANT_MIN_SHARE,
+    growth: float = ZERO_DYNAMICS_MAX_GROWTH,
     fallback: ArrayLike | None = None,
     limits: Limits | None = None,
     dt: float | None = None,

@@ -25,7 +25,7 @@ from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import Limits, saturate_command
 from gnc_opt.control.decoupling_matrix_inverse import (
-    GUARD,
+    DETERMINANT_MIN_SHARE,
     GuardedLaw,
     MemoryEntry,
     NominalController,
@@ -60,7 +60,7 @@ def design_integral_sliding_mode(
     projection: Projection = "pseudo-inverse",
     bound: ArrayLike = 0.0,
     limits: Limits | None = None,
-    guard: float = GUARD,
+    guard: float = DETERMINANT_MIN_SHARE,
     name: str = "integral sliding mode",
 ) -> Controller:
     """Return an integral sliding-mode controller around a nominal law.

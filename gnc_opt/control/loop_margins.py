@@ -25,11 +25,11 @@ from gnc_opt.control.sampled_data_discretization import convert_to_continuous_po
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
-_AT_ZERO = 1e-8
+_ZERO_POLE_MAX_SHARE = 1e-8
 """Poles smaller than this share of the largest (sampled: of one) define no time scale (integrators, delays)."""
-_ENTRIES = 1_000_000
+_BATCH_MAX_MATRICES = 1_000_000
 """Largest number of matrices per batched linear solve."""
-_BESIDE = 1e-6
+_OFFSET = 1e-6
 """Relative distance in frequency between a resonance and the grid points on either side."""
 _GAIN_ROUNDING_SHARE = 1e-4
 """Relative change of a loop gain by rounding of A above which the gain is infinite (integrator, undamped mode)."""
@@ -142,7 +142,7 @@ def _evaluate_loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: f
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(len(a)), b[None].astype(complex)
     points = np.array([_get_laplace_or_z_variable(w, dt) for w in omega])[:, None, None]
-    some = max(1, _ENTRIES // max(a.size, 1))
+    some = max(1, _BATCH_MAX_MATRICES // max(a.size, 1))
     blocks = [points[k : k + some] for k in range(0, points.size, some)]
     return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
 
@@ -193,15 +193,15 @@ def _build_margin_frequency_grid(a: Array, closed: Array, dt: float | None) -> A
     """Return a logarithmic frequency grid (rad/s) around the poles, with grid points next to each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = convert_to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
+        poles = convert_to_continuous_poles(poles[np.abs(poles) > _ZERO_POLE_MAX_SHARE], dt)
     size = np.abs(poles)
-    size = size[size > _AT_ZERO * size.max(initial=0.0)]
+    size = size[size > _ZERO_POLE_MAX_SHARE * size.max(initial=0.0)]
     if not size.size:
         size = np.array([1.0 if dt is None else np.pi / dt])
     low, high = np.log10(size.min()) - 4.0, np.log10(size.max()) + 4.0
     grid = np.logspace(low, high, 2000)
     resonances = np.abs(poles.imag)[np.abs(poles.imag) > 0]
-    grid = np.unique(np.concatenate([grid, resonances * (1 - _BESIDE), resonances * (1 + _BESIDE)]))
+    grid = np.unique(np.concatenate([grid, resonances * (1 - _OFFSET), resonances * (1 + _OFFSET)]))
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 

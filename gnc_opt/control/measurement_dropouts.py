@@ -25,18 +25,18 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.numerical_tolerances import LARGEST
 
-HOLD = 3
+DEFAULT_HOLD_STEPS = 3
 """Default number of consecutive lost samples that a law bridges."""
 
 INVALID = "invalid"
 """Name of the alarm."""
 
-_NEVER = -1.0
+_NO_SAMPLE_YET = -1.0
 """Value of the counter of lost samples before the first good sample."""
 
 
 def with_dropout_handling(
-    controller: Controller, *, hold: int = HOLD, safe: ArrayLike | None = None
+    controller: Controller, *, hold: int = DEFAULT_HOLD_STEPS, safe: ArrayLike | None = None
 ) -> Controller:
     """Return a controller with dropout handling; replaces the existing handling.
 
@@ -132,20 +132,20 @@ def _build_law_for_measurement_dropouts(
     good = _is_vector_finite(x)
     # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
-    usable = ca.logic_or(good, ca.logic_and(missed_steps > _NEVER / 2, missed_steps < hold - 0.5))
+    usable = ca.logic_or(good, ca.logic_and(missed_steps > _NO_SAMPLE_YET / 2, missed_steps < hold - 0.5))
     y = ca.if_else(good, x, last)
-    u, after, *valid = bare(t, y, r, ca.if_else(missed_steps < _NEVER / 2, first, memory))
+    u, after, *valid = bare(t, y, r, ca.if_else(missed_steps < _NO_SAMPLE_YET / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_is_vector_finite(u), _is_vector_finite(after)))
     spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
-        ca.if_else(good, 0, ca.if_else(missed_steps < _NEVER / 2, _NEVER, missed_steps + 1)),
+        ca.if_else(good, 0, ca.if_else(missed_steps < _NO_SAMPLE_YET / 2, _NO_SAMPLE_YET, missed_steps + 1)),
         ca.if_else(works, invalid, 1),
     )
     step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *valid)
     started = ca.if_else(good, ca.vertcat(first, x), 0)
-    return step, initial_state_function(t, x, r, ca.vertcat(started, ca.if_else(good, 0, _NEVER), 0))
+    return step, initial_state_function(t, x, r, ca.vertcat(started, ca.if_else(good, 0, _NO_SAMPLE_YET), 0))
 
 
 def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 
-_LEAST_PRICE = 1e-6
+_MIN_PENALTY = 1e-6
 """Penalty of a violated state limit if the state has no weight."""
 _INACTIVE_ROW_DISTANCE = 1e6
 """Value of the scaled row of an infinite limit, in ranges."""
@@ -64,7 +64,7 @@ class StepLimits:
     def penalty_square_roots(self) -> Array:
         """Square roots of the penalties; scaled by them, squared slacks have weight one."""
         penalty = self.price[self.soft_limited_states] * self.state_scale[self.soft_limited_states] ** 2
-        return np.sqrt(np.maximum(penalty, _LEAST_PRICE))
+        return np.sqrt(np.maximum(penalty, _MIN_PENALTY))
 
 
 @dataclass(frozen=True, eq=False)

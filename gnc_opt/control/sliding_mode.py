@@ -30,8 +30,8 @@ from gnc_opt.control.control_limits_and_authority import (
     saturate_command,
 )
 from gnc_opt.control.decoupling_matrix_inverse import (
-    GROWTH,
-    GUARD,
+    DETERMINANT_MIN_SHARE,
+    ZERO_DYNAMICS_MAX_GROWTH,
     GuardedInverse,
     GuardedLaw,
     MemoryEntry,
@@ -287,8 +287,8 @@ def design_sliding_mode(
     observer: SuperTwistingObserver | None = None,
     limits: Limits | None = None,
     dt: float | None = None,
-    guard: float = GUARD,
-    growth: float = GROWTH,
+    guard: float = DETERMINANT_MIN_SHARE,
+    growth: float = ZERO_DYNAMICS_MAX_GROWTH,
     name: str = "sliding mode",
 ) -> Controller:
     """Return a sliding-mode controller that tracks the outputs of a reference.

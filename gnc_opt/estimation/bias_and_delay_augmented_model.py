@@ -27,7 +27,7 @@ from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.model.model_variables import Layout, Variable, evaluate_user_function_as_column
 from gnc_opt.model.symbolic_dynamics_model import Model
 
-_MOST_LATE = 200
+_MAX_DELAYED_COMPONENTS = 200
 """Largest number of delayed components; the cost of the filter grows with the cube of its states."""
 
 
@@ -258,10 +258,10 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
             f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
         )
     delay = count_steps_in_duration(measurement.delay, dt, f"the delay {what}")
-    if delay * space.errors > _MOST_LATE:
+    if delay * space.errors > _MAX_DELAYED_COMPONENTS:
         raise ArgumentError(
             f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
-            f"{_MOST_LATE} take too long; give a longer control step, or a shorter delay."
+            f"{_MAX_DELAYED_COMPONENTS} take too long; give a longer control step, or a shorter delay."
         )
     return MeasurementChannel(measurement, variable, space, period, delay)
 

@@ -50,18 +50,18 @@ from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.numerical_tolerances import LARGEST
 
-LOST = "lost_steps"
+LOST_STEPS = "lost_steps"
 """Memory entry that counts consecutive control steps with missing samples."""
 
 
 def create_measurement_counters(channels: Sequence[MeasurementChannel]) -> list[Variable]:
-    """Return the counters in the memory, `LOST` last."""
+    """Return the counters in the memory, `LOST_STEPS` last."""
     entries = []
     for channel in channels:
         entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
         if channel.has_steps_without_measurement:
             entries.append(Variable(f"{channel.name}_next"))
-    return [*entries, Variable(LOST)]
+    return [*entries, Variable(LOST_STEPS)]
 
 
 class SampleCount:
@@ -103,8 +103,8 @@ class SampleCount:
 
     def set_states_nan_after_dropout(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
-        missing_steps = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
-        self.entries[LOST] = missing_steps
+        missing_steps = ca.if_else(self._any_taken, 0, self.entries[LOST_STEPS] + self._any_due)
+        self.entries[LOST_STEPS] = missing_steps
         return ca.if_else(missing_steps < hold + 0.5, x, np.nan)
 
 

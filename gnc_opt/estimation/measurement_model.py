@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_float_array, read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import Limits
-from gnc_opt.control.measurement_dropouts import HOLD
+from gnc_opt.control.measurement_dropouts import DEFAULT_HOLD_STEPS
 from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import read_vector
 
@@ -46,7 +46,7 @@ class FilterOptions:
     limits: Limits | None = None
     t0: float = 0.0
     substeps: int = 1
-    hold: int = HOLD
+    hold: int = DEFAULT_HOLD_STEPS
     name: str | None = None
 
 

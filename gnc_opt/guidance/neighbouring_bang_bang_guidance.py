@@ -47,10 +47,10 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
-_MET = 1e-6
+_END_ERROR_MAX_SHARE = 1e-6
 """Largest end error, as the change of switching times that corrects it, in shares of the duration."""
 
-_STATIONARY = 1e-3
+_STATIONARY_MAX_GRADIENT = 1e-3
 """Largest gradient of the Lagrangian (s/s) at which the switching times count as time-optimal."""
 
 
@@ -99,14 +99,14 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
     missed = np.max(np.abs(psi) / _compute_jacobian_row_norms(optimum.S))
     if (
         not np.isfinite(missed)
-        or missed > _MET * duration
+        or missed > _END_ERROR_MAX_SHARE * duration
         or not _has_independent_terminal_conditions(optimum.S)
     ):
         raise DesignError(
             f"no minimum-time switching times were found near those of the plan of '{name}': use a "
             "smaller reserve or a shorter last part."
         )
-    if np.max(np.abs(gradient)) > _STATIONARY:
+    if np.max(np.abs(gradient)) > _STATIONARY_MAX_GRADIENT:
         raise DesignError(
             f"the switching times of the plan of '{name}' are not time-optimal (gradient "
             f"{np.max(np.abs(gradient)):.2g} s/s): minimise the final time, and refine the solution."
@@ -153,7 +153,7 @@ def _differentiate_terminal_conditions(
     return PlanOptimum(tau.copy(), nu, S, H, least), g + slope, psi
 
 
-OFF = 0.1
+PREDICTION_MAX_ERROR = 0.1
 """Largest end error of the predicted plan, in shares of the accepted errors; more steps per arc reduce it."""
 
 _TIME = 0.03
@@ -301,7 +301,7 @@ def _choose_integration_steps_per_arc(
             plan.initial_time, plan.initial_state, plan.times, nothing
         )[0]
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
-        if off <= OFF:
+        if off <= PREDICTION_MAX_ERROR:
             return PlanPrediction(plan, ending, steps)
         if steps >= MAX_SUBSTEPS:
             raise DesignError(

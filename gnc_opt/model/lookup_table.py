@@ -21,7 +21,7 @@ from gnc_opt.model.tabular_export_and_csv_import import read_csv_columns
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 
-MOST_VALUES = 200_000
+MAX_VALUES = 200_000
 """Largest number of values of a table; each becomes part of the expression."""
 
 
@@ -322,8 +322,8 @@ def _read_table_axes(x: Any, data: Array, name: str) -> list[Array]:
     if not np.all(np.isfinite(data)):
         place = ", ".join(f"{g[i]:g}" for g, i in zip(grids, np.argwhere(~np.isfinite(data))[0], strict=True))
         raise ArgumentError(f"table '{name}' has no finite value at ({place}): fill the gap.")
-    if data.size > MOST_VALUES:
-        raise ArgumentError(f"table '{name}' has {data.size} values: thin it out to {MOST_VALUES} at most.")
+    if data.size > MAX_VALUES:
+        raise ArgumentError(f"table '{name}' has {data.size} values: thin it out to {MAX_VALUES} at most.")
     return grids
 
 

@@ -21,10 +21,10 @@ Rate: TypeAlias = Callable[[float, Array], Array]
 GROWTH_LIMIT = 1e8
 """Growth of the state, relative to its initial magnitude, at which the integration stops as divergent."""
 
-MOST_NOT_FINITE = 1000
+MAX_NONFINITE_RATES = 1000
 """Number of non-finite rates at which the integration stops."""
 
-MOST_RATES = 500_000
+MAX_RATES = 500_000
 """Largest number of evaluations of the dynamics; an explicit method may need any number for stiff dynamics."""
 
 
@@ -41,7 +41,7 @@ class CallLimit:
 
     def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
         self.labels = labels
-        self.most = MOST_RATES if most is None else most
+        self.most = MAX_RATES if most is None else most
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
@@ -69,7 +69,7 @@ class CallLimit:
             i = int(np.argmin(np.isfinite(values)))
             self.earliest = t
             self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
-        if self.not_finite > MOST_NOT_FINITE:
+        if self.not_finite > MAX_NONFINITE_RATES:
             raise OdeError(self.edge or "the state is NaN")
 
 

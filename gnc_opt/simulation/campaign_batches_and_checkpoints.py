@@ -23,10 +23,10 @@ from gnc_opt.simulation.recorded_extremes_and_integrals import select_quantity_s
 from gnc_opt.simulation.simulation_run_outcome import Outcome, RunStatus
 from gnc_opt.workers import TaskResult, WorkerDiedError
 
-MOST_PER_BATCH = 25
+BATCH_MAX_RUNS = 25
 """Largest number of runs in a batch, which are lost if the process is killed."""
 
-BATCHES = 32
+N_BATCHES = 32
 """Target number of batches; enough for an even load of all processes."""
 
 _PATTERN = "runs * to *.npz"
@@ -208,7 +208,7 @@ class RunBatch:
 
 def find_unsimulated_batches(runs: int, simulated: Iterable[Batch]) -> list[Batch]:
     """Return batches of the runs 0 to ``runs`` - 1 that have not been simulated."""
-    size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
+    size = min(BATCH_MAX_RUNS, max(1, runs // N_BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in simulated)
     gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
     return [

@@ -22,7 +22,7 @@ from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.simulation.dormand_prince import IntegrationStep
 from gnc_opt.simulation.zero_crossing_events import read_plant_expression
 
-SAMPLES = 101
+MAX_SAMPLES = 101
 """Largest number of sampling times over a run, evenly spaced control steps including both ends."""
 
 KEPT = ("max", "min", "integral")
@@ -152,4 +152,4 @@ def _build_interpolated_maximum_function(count: int, n: int) -> Any:
 
 def select_quantity_sample_steps(n_steps: int) -> Array:
     """Return the control steps at whose start quantities are sampled, and the end, (n_samples,)."""
-    return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)
+    return np.round(np.linspace(0, n_steps, min(MAX_SAMPLES, n_steps + 1))).astype(int)

@@ -13,13 +13,13 @@ from gnc_opt.model.model_variables import Layout
 from gnc_opt.renamed_public_names import StatusWord
 from gnc_opt.simulation.zero_crossing_events import EVENTS_PER_STEP_MAX
 
-_LOST = ": no significant digits"
+_NO_DIGITS = ": no significant digits"
 """Printed for errors larger than the states."""
 _ZENO = (
     f"more than {EVENTS_PER_STEP_MAX - 1} events in a control step (Zeno: end the sequence by another event)"
 )
 
-_UNKEPT = (
+_RESET_ON_SURFACE = (
     "the reset of '{}' leaves it at zero with zero rate, and the dynamics move it through zero (let the reset also "
     "change a mode: a state with the rate 0 that switches to equations of contact)"
 )
@@ -66,13 +66,13 @@ class OutcomeClassifier:
         if name in self.failures or (name and name not in self.events):
             return Outcome(RunStatus.TERMINATED_BY_EVENT, name, time)
         if not error <= self.accuracy:
-            why = _LOST if error > 1 else ""
+            why = _NO_DIGITS if error > 1 else ""
             return Outcome(RunStatus.INTEGRATION_ERROR, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
     def _find_terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
         code = int(parts["stop"][0, i]) if self.events else 0
-        names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
+        names = (*self.events, _ZENO, *(_RESET_ON_SURFACE.format(event) for event in self.events))
         return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)
 
 

@@ -24,10 +24,10 @@ from gnc_opt.argument_checks import require_type
 from gnc_opt.errors import GncOptError
 from gnc_opt.workers.worker_processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
 
-MOST_CRASHES = 8
+MAX_CRASHES = 8
 """Number of consecutive items that killed their own process, after which no more items are tried."""
 
-MOST_PENDING = 32
+MAX_PENDING = 32
 """Largest number of unfinished items per executor, unless it has more than half as many threads."""
 
 NO_WORKERS_MAX_WAIT_S = 10.0
@@ -226,7 +226,7 @@ class WorkerPool(Generic[Object]):
         waiting, crashes = list(reversed(left)), 0
         while waiting and self._own is not None:
             place, item = waiting.pop()
-            if crashes == MOST_CRASHES:
+            if crashes == MAX_CRASHES:
                 why = f"not tried, since the {crashes} previous items killed their process"
                 ledger.store_task_result(place, TaskResult(item, error=WorkerDiedError(why)))
                 continue
@@ -331,12 +331,12 @@ def _count_concurrent_tasks(executor: Executor) -> int:
     """Return the largest number of simultaneous tasks of an executor; each holds a copy of the shared object."""
     client: Any = getattr(executor, "_client", None)
     threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)
-    return max(MOST_PENDING, 2 * threads)
+    return max(MAX_PENDING, 2 * threads)
 
 
-_TURN = threading.RLock()
+_SERIAL_LOCK = threading.RLock()
 
 
 def _run_task_serially(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
-    with _TURN:  # compiled functions are not thread-safe
+    with _SERIAL_LOCK:  # compiled functions are not thread-safe
         return task(open_shared_object(parcel), item)

@@ -23,7 +23,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver, lie_derivative, output_errors
 from gnc_opt.control.decoupling_matrix_inverse import (
-    GUARD,
+    DETERMINANT_MIN_SHARE,
     GuardedLaw,
     MemoryEntry,
     build_guarded_decoupling_inverse,
@@ -108,7 +108,7 @@ def design_swing_law(
     gains: Gains | None = None,
     unknown: Unknown = "observed",
     dt: float = STEP,
-    guard: float = GUARD,
+    guard: float = DETERMINANT_MIN_SHARE,
 ) -> go.Controller:
     """Return the controller of the thrust angle's rate; its commands respect both limits.
 

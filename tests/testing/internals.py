@@ -114,7 +114,7 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_point_family
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
-from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
+from gnc_opt.planning.transcription.scaling import NEARBY_SHIFT, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
@@ -167,7 +167,7 @@ from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, in
 from gnc_opt.simulation.final_states_and_integration_error import estimate_integration_errors
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform, stack_actuator_waveforms
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_success_criteria
-from gnc_opt.simulation.recorded_extremes_and_integrals import SAMPLES, select_quantity_sample_steps
+from gnc_opt.simulation.recorded_extremes_and_integrals import MAX_SAMPLES, select_quantity_sample_steps
 from gnc_opt.simulation.sensor_and_actuator_block import StepContext
 from gnc_opt.simulation.simulation_run_results import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy

@@ -403,7 +403,7 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
     monkeypatch: pytest.MonkeyPatch, threads: int, most: int
 ) -> None:
     """Each task carries what all of them share: the memory of a campaign on a cluster does not grow with its runs."""
-    monkeypatch.setattr(worker_pool, "MOST_PENDING", 5)
+    monkeypatch.setattr(worker_pool, "MAX_PENDING", 5)
     monkeypatch.setattr(worker_pool.os, "cpu_count", lambda: 2)
     executor = Counting(threads)
     with workers(executor) as force:

@@ -14,7 +14,7 @@ from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import ROUNDING, max_norm
 
-_MOST_NUMBERS = 50_000_000
+_TABLE_MAX_ENTRIES = 50_000_000
 """Largest number of table entries; larger sources exceed the capacity of compilers."""
 
 
@@ -71,7 +71,7 @@ def tabulate_references_and_gains(
     first, last = (float(t) for t in ends)
     # tolerance of rounding: a row at the end itself belongs to the tail
     count = int(np.ceil((last - first) / dt - 1e-9)) + 1
-    if count * controller.signals.size > _MOST_NUMBERS:
+    if count * controller.signals.size > _TABLE_MAX_ENTRIES:
         raise ArgumentError(
             f"the schedule of '{controller.name}' has {count} rows from {first:g} s to {last:g} s, too many for a "
             "table: give a shorter span."

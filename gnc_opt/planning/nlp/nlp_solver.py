@@ -33,10 +33,10 @@ from gnc_opt.planning.nlp.solve_monitor import (
     stop_on_sigint,
 )
 
-RUNAWAY = 1e10
+DIVERGED_MIN_SIZE = 1e10
 """Divergence limit after a failure of the solver; scaled variables have order one."""
 
-SUSPICIOUS = 1e8
+ACCEPTABLE_MAX_SIZE = 1e8
 """Divergence limit of an iterate of acceptable accuracy; gradients may vanish at infinity."""
 
 _NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
@@ -260,9 +260,9 @@ class NlpSolver:
             f_dm, g_dm, gradient = self.problem.lagrangian_function(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flatten_casadi_matrix(g_dm)
             lam_x[fixed] = -_flatten_casadi_matrix(gradient)[fixed]
-        doubtful = status in _MAY_HIDE_UNBOUNDED and _has_iterate_diverged(x, f, RUNAWAY)
+        doubtful = status in _MAY_HIDE_UNBOUNDED and _has_iterate_diverged(x, f, DIVERGED_MIN_SIZE)
         if started and (
-            doubtful or (status is Status.ACCEPTABLE and _has_iterate_diverged(x, f, SUSPICIOUS))
+            doubtful or (status is Status.ACCEPTABLE and _has_iterate_diverged(x, f, ACCEPTABLE_MAX_SIZE))
         ):
             status = Status.UNBOUNDED
         function_time = _sum_solver_timings(stats, "t_wall_nlp_")

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.bounds import Interval
 PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
 """Candidate periods: a full turn in rad and deg; half a turn for functions such as ``sin(2 u)``."""
 
-ELSEWHERE = 0.37
+TEST_SHARE = 0.37
 """Share of a period at which functions of an angle are compared."""
 
 
@@ -76,7 +76,7 @@ class AngleProbe:
         """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
         for period in candidates:
             turned, elsewhere = (
-                self.values(self._shift_control_angle(i, by)) for by in (period, ELSEWHERE * period)
+                self.values(self._shift_control_angle(i, by)) for by in (period, TEST_SHARE * period)
             )
             if is_invariant_under_full_turn(self.function_values_without_shift, turned, elsewhere):
                 return period

@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseBoundsAndGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.symbolic_expressions import build_function_along_phase, stack_phase_expressions
 
-LOOSE = 0.1
+RELAXATION_SHARE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
 
 
@@ -33,7 +33,7 @@ def relax_state_bounds(phase: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
     bounds, ends = phase.numbers.states, (phase.numbers.initial, phase.numbers.final)
     reach = np.abs([limit for box in (bounds, *ends) for limit in (box.lower, box.upper)])
-    room = LOOSE * np.max(set_nonfinite_to_zero(reach), axis=0)
+    room = RELAXATION_SHARE * np.max(set_nonfinite_to_zero(reach), axis=0)
     return Interval(bounds.lower - room, bounds.upper + room)
 
 

@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.phase import Phase
 UNBOUNDED_STATE_MAX_RATIO = 10.0
 """Largest ratio of the magnitude of an unbounded state to its guess."""
 
-SAMPLES = np.linspace(0.0, 1.0, 9)
+SAMPLE_FRACTIONS = np.linspace(0.0, 1.0, 9)
 """Fractions of a phase at which guess and dynamics are evaluated."""
 
 GUESS_OFFSET_SHARE = 0.01
@@ -31,7 +31,7 @@ def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = Tr
     The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the
     motion that the dynamics cause, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
-    start = build_phase_guess(phase, SAMPLES, perturbed=False)
+    start = build_phase_guess(phase, SAMPLE_FRACTIONS, perturbed=False)
     numbers = phase.numbers
     controls = choose_scaling_magnitudes_from_bounds(
         numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
@@ -56,7 +56,7 @@ def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = Tr
 def _estimate_state_change_over_phase(phase: Phase, start: SampledGuess, magnitudes: Array) -> Array:
     """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
     bounds = phase.numbers.controls
-    times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
+    times = start.times[0] + SAMPLE_FRACTIONS * (start.times[1] - start.times[0])
     rates = [np.zeros(phase.model.states.size)]
     guessed = np.any(start.controls != 0, axis=1)
     for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):

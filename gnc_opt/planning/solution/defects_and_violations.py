@@ -69,7 +69,7 @@ def integrate_states_to_times(phase: PhaseSolution, functions: PhaseFunctions, t
 def compute_propagation_errors(phase: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
     """Return the propagation errors of segments, integrated with the applied control (n_states, n).
 
-    Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
+    Infinite where the integration fails, and after `MAX_RATES` evaluations for all segments together.
     """
     errors, jumps = np.empty((phase.states.size, segments.size)), phase.applied.jump_times
     budget = CallLimit(phase.states.labels)

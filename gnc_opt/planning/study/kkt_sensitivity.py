@@ -145,7 +145,7 @@ def _compute_problem_data_difference(
     )
 
 
-_RESIDUAL = 1e-10
+_NEWTON_MAX_RESIDUAL = 1e-10
 """Largest residual of the scaled conditions after Newton's method."""
 
 _KKT_ROUNDING_RESIDUAL = 1e-13
@@ -210,11 +210,11 @@ class KktPoint:
             self._factorise_kkt_system()
             residual = self.program.kkt_residual
             size = max_norm(residual)
-            if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
+            if size <= _KKT_ROUNDING_RESIDUAL or (size <= _NEWTON_MAX_RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
             self.program = take_newton_step(self.program, self._system.solve_saddle_point_system(-residual))
-        if not best <= _RESIDUAL and not size <= _RESIDUAL:
+        if not best <= _NEWTON_MAX_RESIDUAL and not size <= _NEWTON_MAX_RESIDUAL:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
                 f"the first-order conditions of '{self.program.problem.name}' do not hold at '{worst}' (residual "
@@ -310,7 +310,7 @@ def take_newton_step(point: ProgramPoint, step: Array) -> ProgramPoint:
     return replace(point, x=x, lam=lam)
 
 
-SINGULAR = 1e13
+SINGULAR_MIN_CONDITION = 1e13
 """Condition number of the scaled system above which its solution has no reliable digits."""
 
 SADDLE_REFINEMENTS = 6
@@ -330,7 +330,7 @@ class SaddlePointSystem:
         if not self.redundant:
             try:
                 self._factors = scipy.sparse.linalg.splu(self._matrix)
-                self.redundant = not self._estimate_condition_number() < SINGULAR
+                self.redundant = not self._estimate_condition_number() < SINGULAR_MIN_CONDITION
             except RuntimeError:  # a pivot is zero
                 self.redundant = True
         if self.redundant:

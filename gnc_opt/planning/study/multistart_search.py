@@ -36,7 +36,7 @@ from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.text_html_and_json_formatting import PrintableResult
 from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
-MISS = 0.1
+MIN_ERROR = 0.1
 """Relative propagation error and defect of a phase above which, together, a solution is spurious (rendezvous: 0.3 and
 0.8)."""
 
@@ -80,14 +80,14 @@ def _halve_mesh_segments(mesh: Mesh) -> Mesh:
 
 
 def is_spurious_collocation_solution(solution: Solution) -> bool:
-    """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
+    """Return whether a collocation solution does not satisfy the differential equations; see `MIN_ERROR`."""
 
     def is_propagation_error_small(s: PhaseSamples) -> bool:
         error = solution.propagate(s.phase.name).error
-        return bool(np.max(np.abs(error) / s.state_scale) < MISS)
+        return bool(np.max(np.abs(error) / s.state_scale) < MIN_ERROR)
 
     samples = solution.samples().values()
-    return any(not (find_worst_defect(s).value < MISS or is_propagation_error_small(s)) for s in samples)
+    return any(not (find_worst_defect(s).value < MIN_ERROR or is_propagation_error_small(s)) for s in samples)
 
 
 def raise_keyboard_interrupt_of_solver(solution: Solution, options: SolverOptions) -> None:

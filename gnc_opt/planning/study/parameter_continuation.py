@@ -27,13 +27,13 @@ from gnc_opt.threads_and_package_versions import limit_to_one_thread
 
 Family: TypeAlias = Callable[[float], Problem]
 
-SMALLEST = 1e-4
+STEP_MIN_SHARE_OF_RANGE = 1e-4
 """Smallest step, as a share of the range."""
 
 PREDICTION_ERROR_MAX = 0.3
 """Error of a prediction, in scales of the variables, above which a step is halved."""
 
-GOOD = 0.05
+PREDICTION_ERROR_SMALL = 0.05
 """Error of a prediction below which the next step is doubled."""
 
 CONTINUATION_MAX_ITERATIONS = 300
@@ -138,7 +138,7 @@ def continuation(
     step : float, optional
         First step, > 0; default: to the second value.
     smallest : float, optional
-        Smallest step, > 0; default: `SMALLEST` of the whole range.
+        Smallest step, > 0; default: `STEP_MIN_SHARE_OF_RANGE` of the whole range.
     first : Solution, optional
         Solution at the first value; default: solved from its problem's guess.
     tol : float, optional
@@ -176,7 +176,7 @@ def continuation(
         )
     whole = abs(way[-1] - way[0])
     least = (
-        SMALLEST * whole
+        STEP_MIN_SHARE_OF_RANGE * whole
         if smallest is None
         else read_positive_number(smallest, "the smallest step of continuation()")
     )
@@ -252,7 +252,7 @@ class _Branch:
                     events.append(f"structure changes between {values[-1]:.10g} and {value:.10g}")
                 values.append(value)
                 solutions.append(found)
-                length = max(length, taken) if miss > GOOD else 2 * max(length, taken)
+                length = max(length, taken) if miss > PREDICTION_ERROR_SMALL else 2 * max(length, taken)
         except KeyboardInterrupt:
             status = ContinuationStatus.INTERRUPTED
         return Continuation(np.array(values), tuple(solutions), status, tuple(events))

@@ -37,7 +37,7 @@ Output: TypeAlias = Callable[[Solution], float]
 NOT_REACHED = "not reached"
 """Ending of points that were not solved because of an interrupt."""
 
-MISTAKES = (NameError, AttributeError, TypeError, ImportError)
+PROGRAMMING_ERRORS = (NameError, AttributeError, TypeError, ImportError)
 """Exceptions of a function that fails at every point; they end a sweep."""
 
 

@@ -20,10 +20,10 @@ from gnc_opt.planning.problem.scaling_magnitudes import (
 )
 from gnc_opt.planning.transcription.transcription import Transcription
 
-NEARBY = 0.1
+NEARBY_SHIFT = 0.1
 """Distance from the guess, in typical magnitudes, of a second gradient evaluation, since gradients may vanish there."""
 
-MOST_ROOM = 10.0
+LIMIT_MAX_DISTANCE = 10.0
 """Largest scaled distance of the guess from a limit; used for gradients that nearly vanish at the guess."""
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
@@ -67,7 +67,7 @@ def choose_row_scales(
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
-    factors = 1.0 / np.maximum(replace_zeros_by_one(norms), room / MOST_ROOM)
+    factors = 1.0 / np.maximum(replace_zeros_by_one(norms), room / LIMIT_MAX_DISTANCE)
     steepest = float(np.max(gradient * scales))
     for part in transcription.parts.values():
         state_scales = scales[part.collocation.boundary_states[:, 0]]
@@ -83,7 +83,7 @@ def _compute_jacobian_magnitudes(
     box = transcription.get_variable_bounds(problem)
     usual = choose_variable_scales(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
-    offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
+    offset = NEARBY_SHIFT * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
     gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
     limits, room = transcription.get_constraint_bounds(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):

@@ -78,7 +78,7 @@ def test_a_domain_left_on_the_way_is_placed_in_time(solution: go.Solution) -> No
 
 
 def test_stiff_dynamics_do_not_hang_it(solution: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ode_integration, "MOST_RATES", 2000)
+    monkeypatch.setattr(ode_integration, "MAX_RATES", 2000)
     run = flown_with(solution, lambda x, v, u: -1e9 * (v + 1))
     assert run.ended.startswith("2,000 evaluations of the dynamics reached only t = ")
     assert np.all(np.isinf(run.error))
@@ -277,6 +277,6 @@ def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) 
     (samples,) = solution.samples().values()
     leg, segments = samples.phase, np.arange(10)
     assert np.max(np.abs(compute_propagation_errors(leg, samples.functions, segments))) < 1e-8
-    monkeypatch.setattr(ode_integration, "MOST_RATES", 200)
+    monkeypatch.setattr(ode_integration, "MAX_RATES", 200)
     errors = compute_propagation_errors(leg, samples.functions, segments)
     assert np.all(np.isfinite(errors[:, 0])) and np.all(np.isinf(errors[:, -1]))

@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import sample_guess
 from gnc_opt.planning.problem.phase import Phase
 
-PERTURBATION = 0.01
+PERTURBATION_SHARE = 0.01
 """Amplitude of the control perturbation of the default guess, as a share of the range; breaks symmetries."""
 
 SUSTAINED = 0.2
@@ -89,7 +89,7 @@ def set_control_guess(model: Model, controls: Array, name: str, values: Array) -
 def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
     """Return the control perturbation, shape (m, N)."""
     ranges = bounds.upper - bounds.lower
-    amplitude = PERTURBATION * np.where(np.isfinite(ranges), ranges, 1.0)
+    amplitude = PERTURBATION_SHARE * np.where(np.isfinite(ranges), ranges, 1.0)
     channel = 1.0 + np.arange(ranges.size)
     phase = 2 * np.pi * (np.outer(1 + channel % 3, fractions) + (GOLDEN_RATIO_FRACTION * channel)[:, None])
     return np.asarray(amplitude[:, None] * np.cos(phase))

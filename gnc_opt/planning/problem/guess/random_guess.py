@@ -23,13 +23,13 @@ DURATION_MAX_RATIO = 10.0
 KNOWN_DURATION_MAX_RATIO = 1.4
 """Largest factor if the duration is known from another solution."""
 
-VIGOUR = (0.03, 1.0)
+AMPLITUDE_RANGE = (0.03, 1.0)
 """Range of a start's amplitude (log-uniform), as a share of the magnitude of each state."""
 
 PERTURBATION_MIN_AMPLITUDE = 0.2
 """Smallest amplitude of a start with about the duration of a known solution."""
 
-WAVES = 4
+N_WAVES = 4
 """Number of sine waves in a smooth perturbation; wave k has an amplitude of order 1/k."""
 
 FRACTIONS = np.linspace(0.0, 1.0, 65)
@@ -150,7 +150,7 @@ def _draw_random_states(
     phase: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float
 ) -> Array:
     numbers = phase.numbers
-    low, high = max(least, VIGOUR[0]), VIGOUR[1]
+    low, high = max(least, AMPLITUDE_RANGE[0]), AMPLITUDE_RANGE[1]
     amplitude = magnitudes * low * (high / low) ** rng.uniform()
     states = line + amplitude[:, None] * _draw_smooth_signals(magnitudes.size, rng)
     offsets = amplitude * rng.normal(size=(2, magnitudes.size))
@@ -185,8 +185,8 @@ def _draw_bang_bang_pattern(rng: np.random.Generator) -> Array:
 
 def _draw_smooth_signals(size: int, rng: np.random.Generator) -> Array:
     """Return smooth random signals (size, n_fractions) of order one that vanish at both ends."""
-    k = np.arange(1, WAVES + 1)
-    return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
+    k = np.arange(1, N_WAVES + 1)
+    return np.asarray((rng.normal(size=(size, N_WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
 
 
 def _clip_values_to_bounds(values: Array, box: Interval) -> Array:

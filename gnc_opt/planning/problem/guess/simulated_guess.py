@@ -56,7 +56,7 @@ def with_simulated_guess(problem: Problem) -> Problem | None:
 RTOL, STIFF_RTOL = 1e-8, 1e-5
 """Tolerances of the explicit and of the (more expensive) implicit integration; a guess needs few digits."""
 
-MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
+EXPLICIT_MAX_RATES, IMPLICIT_MAX_RATES = 50_000, 20_000
 """Evaluations after which the explicit method is replaced by the implicit one, and after which that fails."""
 
 _SMOOTHER = " (replace discontinuous functions such as sign(s) by tanh(s / width))"
@@ -165,10 +165,10 @@ def _integrate_guess_dynamics(
     """Integrate with an explicit method, or an implicit one for stiff dynamics."""
     labels = phase.model.states.labels
     try:
-        explicit, budget = Tolerance(RTOL, sizes), CallLimit(labels, MOST_EXPLICIT)
+        explicit, budget = Tolerance(RTOL, sizes), CallLimit(labels, EXPLICIT_MAX_RATES)
         return integrate_ode(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
     except LimitError:
-        implicit, budget = (Tolerance(STIFF_RTOL, sizes, stiff=True), CallLimit(labels, MOST_IMPLICIT))
+        implicit, budget = (Tolerance(STIFF_RTOL, sizes, stiff=True), CallLimit(labels, IMPLICIT_MAX_RATES))
         return integrate_ode(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 

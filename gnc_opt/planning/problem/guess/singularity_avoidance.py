@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.scaling_magnitudes import estimate_state_and_control_magnitudes
 
-BEND = 0.1
+MIDPOINT_SHIFT_SHARE = 0.1
 """Displacement of a curved guess at its midpoint, as a share of each state's magnitude."""
 
 FRACTIONS = np.linspace(0.0, 1.0, 33)
@@ -37,7 +37,7 @@ def with_curved_guess(problem: P) -> P:
 def _add_sine_to_state_guess(phase: Phase) -> dict[str, Any]:
     start, layout, box = build_phase_guess(phase, FRACTIONS), phase.model.states, phase.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
-    share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
+    share = MIDPOINT_SHIFT_SHARE * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
     states = start.states + (estimate_state_and_control_magnitudes(phase)[0] * share)[:, None] * np.sin(
         np.pi * FRACTIONS
     )

@@ -113,7 +113,7 @@ def _find_norm_limits(phase: Phase) -> Iterator[tuple[Names, str, str]]:
 
 def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
     """Return whether a row of a norm and a control states that the norm is at most the control."""
-    for k in _SIZES:
+    for k in _TEST_NORMS:
         own = read_norm_limits(ca.substitute(expression, control, k), size, limits)
         if own is None or own[0] != 0 or abs(own[1] - k) > EQUAL * k:
             return False
@@ -128,7 +128,7 @@ def _list_scalar_path_constraints(phase: Phase) -> Iterator[tuple[str, Any, Inte
             yield label, c.expression[i], c.interval.select_components([i])
 
 
-_SIZES = (0.7, 1.3, 2.1)
+_TEST_NORMS = (0.7, 1.3, 2.1)
 
 
 def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
@@ -377,7 +377,7 @@ def _is_constraint_met_by_shorter_vectors(expression: Any, size: Any, limits: In
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
     rest = np.random.default_rng(20).uniform(0.5, 1.5, (len(others), 5))
-    values = np.stack([function(np.full((1, 5), k), rest).full()[0] for k in _SIZES])
+    values = np.stack([function(np.full((1, 5), k), rest).full()[0] for k in _TEST_NORMS])
     grows, falls = np.all(np.diff(values, axis=0) >= 0), np.all(np.diff(values, axis=0) <= 0)
     return bool((grows and limits.lower[0] == -np.inf) or (falls and limits.upper[0] == np.inf))
 
