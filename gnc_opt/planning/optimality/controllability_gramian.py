@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -89,8 +89,13 @@ class Ellipsoid:
         return np.asarray(radius[:, None] * self.axes * self.shares)
 
 
-Reach = tuple[Ellipsoid, Ellipsoid, Ellipsoid, Ellipsoid]
-"""Ellipsoids at the start, along a phase, at its end, and at its end with the integrals."""
+class Reach(NamedTuple):
+    """Ellipsoids of the states of a phase, and of final states and integrals (``end_with_integrals``)."""
+
+    start: Ellipsoid
+    along: Ellipsoid
+    end: Ellipsoid
+    end_with_integrals: Ellipsoid
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +227,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
     radius, final = np.fmax(radius, smallest), np.fmax(final, smallest)
     initial = np.where(start > 0, start, np.fmax(initial, smallest))
     with_integrals = np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))
-    return (
+    return Reach(
         Ellipsoid.from_gramian(gramian.start, initial),
         Ellipsoid.from_gramian(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation
         Ellipsoid.from_gramian(gramian.end, final),

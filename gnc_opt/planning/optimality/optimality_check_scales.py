@@ -126,7 +126,7 @@ class Scales:
         costs = {s.phase.name: _compute_control_costs(s, deviations[s.phase.name]) for s in samples}
         total = sum(float(np.sum(c)) for c in costs.values())
         curvature = sum(
-            max_norm(_compute_hamiltonian_second_differences(s, reach[s.phase.name][1].semi_axes))
+            max_norm(_compute_hamiltonian_second_differences(s, reach[s.phase.name].along.semi_axes))
             for s in nonempty
         )
         curvature += total + ends.compute_end_cost_curvature(reach)
@@ -142,16 +142,14 @@ class Scales:
         cost += sum(_compute_end_time_shift_cost(s, ends) for s in samples)
         controlled = any(s.phase.controls.size for s in nonempty)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
+        radii = [reach[s.phase.name].along.radius for s in nonempty]
         if cost < SMALL * curvature and not any(np.any(s.control_hessian) for s in nonempty):
             # Along singular arcs controls change the cost only through the states.
-            displacements = [np.diag(reach[s.phase.name][1].radius) for s in nonempty]
-            differences = map(_compute_hamiltonian_second_differences, nonempty, displacements)
+            differences = map(_compute_hamiltonian_second_differences, nonempty, map(np.diag, radii))
             cost = curvature + sum(np.sum(np.abs(change)) for change in differences)
             costs = {name: np.full_like(cost_by_control, cost) for name, cost_by_control in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limit_cost = sum(
-            _compute_cost_of_state_shift_at_limits(s, reach[s.phase.name][1].radius) for s in nonempty
-        )
+        limit_cost = sum(map(_compute_cost_of_state_shift_at_limits, nonempty, radii))
         cost = limit_cost if cost < SMALL * limit_cost else cost
         curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
@@ -378,7 +376,7 @@ class EndPoints:
         term_sizes = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
         terms = np.sum(term_sizes, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
         terms = np.append(np.fmax(np.abs(self.gradients.constraints), terms), sizes)
-        starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name][0].radius for s in self.samples]
+        starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name].start.radius for s in self.samples]
         fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
         curvature = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
         return rows @ rows.T + np.diag((share * fixed) ** 2), curvature, terms
@@ -401,7 +399,7 @@ class EndPoints:
         """Return moves of the ends along their principal axes; with ``full``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
-            start, _, _, end = reach[s.phase.name]
+            start, end = reach[s.phase.name].start, reach[s.phase.name].end_with_integrals
             free, n = ~s.phase.initial_bounds.is_fixed, s.phase.states.size
             first, last = (e.nonzero_semi_axes if full else e.semi_axes for e in (start, end))
             moves.append(self._expand_endpoint_displacements({6 * k: first[:, free] * free[:, None]}))
