@@ -286,19 +286,19 @@ class CompiledLoop(StrictAttributes):
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
     def iterate_known_values(
-        self, seed: Any, inputs: Array, course: ActiveReference | None = None, *, is_filled: bool = False
+        self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
         """Yield, for each segment, its first step and the known and drawn values of its steps (n_steps, n_known).
 
-        The values are written to ``inputs``; with ``is_filled`` it contains those of a run with the same schedule.
+        The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
         followed = self._reference_schedule_by_step if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
-        numbers = self._create_normal_number_generator(seed, inputs.shape[1] - first_noise)
-        written = is_filled and planned and len(self._run_segment_boundary_steps) == 2
+        numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._run_segment_boundary_steps) == 2
         for first, last in itertools.pairwise(self._run_segment_boundary_steps):
-            rows = inputs[: last - first]
+            rows = known[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
                 rows[:, 1:first_noise] = followed[first:last]
@@ -379,7 +379,7 @@ class CompiledLoop(StrictAttributes):
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
         """Yield, for each segment, its last step, the final states (2, n_state), and the logged states and logs."""
-        for first, rows in self.iterate_known_values(seed, inputs, course, is_filled=is_filled):
+        for first, rows in self.iterate_known_values(seed, inputs, course, again=is_filled):
             if first == 0:
                 X, C = self._build_initial_closed_loop_states(rows[0], P)
             else:

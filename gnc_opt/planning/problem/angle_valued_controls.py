@@ -54,10 +54,10 @@ class UnboundedAngles:
         """Return controls (n_controls, ...) with angles shifted by whole periods into their range."""
         u = u.copy()
         for i in np.flatnonzero(self.unbounded_controls):
-            low, high, period = self.lower[i], self.upper[i], self.periods[i]
-            beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
-            turns_above, turns_below = (np.maximum(turns, 0.0) for turns in beyond)
-            u[i] = np.clip(u[i] + period * (turns_below - turns_above), low, high)
+            lower, upper, period = self.lower[i], self.upper[i], self.periods[i]
+            excess = (u[i] - upper, lower - u[i])
+            turns_above, turns_below = (np.maximum(np.ceil(e / period - AT_LIMIT), 0.0) for e in excess)
+            u[i] = np.clip(u[i] + period * (turns_below - turns_above), lower, upper)
         return u
 
 
@@ -75,24 +75,24 @@ class AngleProbe:
     def find_angle_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
         """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
         for period in candidates:
-            turned, elsewhere = (
-                self.values(self._shift_control_angle(i, by)) for by in (period, TEST_SHARE * period)
+            after_turn, elsewhere = (
+                self.values(self._shift_control_angle(i, shift)) for shift in (period, TEST_SHARE * period)
             )
-            if is_invariant_under_full_turn(self.function_values_without_shift, turned, elsewhere):
+            if is_invariant_under_full_turn(self.function_values_without_shift, after_turn, elsewhere):
                 return period
         return 0.0
 
-    def _shift_control_angle(self, i: int, by: float) -> Array:
+    def _shift_control_angle(self, i: int, shift: float) -> Array:
         u = self.u.copy()
-        u[i] += by
+        u[i] += shift
         return u
 
 
-def is_invariant_under_full_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
+def is_invariant_under_full_turn(values: Array, after_turn: Array, elsewhere: Array) -> bool:
     """Return whether values (n, N) are equal after a turn but differ elsewhere; NaN is ignored."""
-    finite = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
-    here, turned, elsewhere = (np.where(finite, values, 0.0) for values in (here, turned, elsewhere))
-    changes = np.max(np.abs(elsewhere - here), axis=1)
-    changed = np.max(np.abs(turned - here), axis=1)
-    rounding = ROUNDING * np.max(np.abs(here), axis=1)
-    return bool(np.any(changes > rounding) and np.all(changed <= EQUAL * changes + rounding))
+    finite = np.isfinite(values) & np.isfinite(after_turn) & np.isfinite(elsewhere)
+    values, after_turn, elsewhere = (np.where(finite, v, 0.0) for v in (values, after_turn, elsewhere))
+    variation = np.max(np.abs(elsewhere - values), axis=1)
+    change = np.max(np.abs(after_turn - values), axis=1)
+    rounding = ROUNDING * np.max(np.abs(values), axis=1)
+    return bool(np.any(variation > rounding) and np.all(change <= EQUAL * variation + rounding))

@@ -72,12 +72,12 @@ def warn_of_kinks(problem: ProblemData, phase: Phase) -> None:
             )
     if not collect_casadi_operation_codes(stack_phase_expressions(phase)) & _KINKS.keys():
         return
-    looked_up = frozenset[int]().union(*(use.subexpression_hashes for use in uses))
-    for operation, (kind, where) in _find_first_kink_by_type(problem, phase, looked_up):
+    table_hashes = frozenset[int]().union(*(use.subexpression_hashes for use in uses))
+    for operation, (kind, label) in _find_first_kink_by_type(problem, phase, table_hashes):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
             remedy = _REMEDIES.get(kind, remedy)
-        warn_user(f"{kind} '{where}' of {phase.label} contains {meaning}: {remedy}.")
+        warn_user(f"{kind} '{label}' of {phase.label} contains {meaning}: {remedy}.")
 
 
 def check_guess_in_tables(problem: ProblemData, phase: Phase, *, warn: bool) -> None:
@@ -98,22 +98,22 @@ def check_guess_in_tables(problem: ProblemData, phase: Phase, *, warn: bool) -> 
 
 
 def _find_first_kink_by_type(
-    problem: ProblemData, phase: Phase, looked_up: frozenset[int]
+    problem: ProblemData, phase: Phase, table_hashes: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
     t, x, u, _ = phase.model.symbolic_arguments()
     free = [phase.model.symbol(name) for name in problem.parameters.names if name in phase.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
     reported: set[str] = set()
-    for what, labels, stacked in _list_rates_paths_and_integrands(phase):
-        for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
+    for kind, labels, column in _list_rates_paths_and_integrands(phase):
+        for label, expression in zip(labels, ca.vertsplit(column) if labels else (), strict=True):
             for node in iterate_subexpressions(expression):
                 operation = node.op()
-                if operation not in _KINKS or node.element_hash() in looked_up:
+                if operation not in _KINKS or node.element_hash() in table_hashes:
                     continue
                 if _KINKS[operation][0] not in reported and ca.depends_on(node, changing):
                     reported.add(_KINKS[operation][0])
-                    yield operation, (what, label)
+                    yield operation, (kind, label)
 
 
 _CHECK_NORMS_FRACTIONS = np.linspace(0.2, 0.8, 4)
@@ -134,39 +134,40 @@ def find_singular_norms(problem: ProblemData, phase: Phase) -> list[str]:
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.get_parameter_guess()
     box = phase.numbers.controls
-    still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
+    zeros = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
     guessed = evaluate_functions_along_phase(problem, phase, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in evaluate_functions_along_phase(problem, phase, times, start.states, still, q).items():
-        for row, what in _find_undefined_derivatives(phase, tried, guessed[kind]):
-            texts.append(f"{tried.what} '{tried.rows[row]}' of {phase.label} has {what}: {_REMEDY}")
+    with_zeros = evaluate_functions_along_phase(problem, phase, times, start.states, zeros, q)
+    for kind, at_zero in with_zeros.items():
+        for row, defect in _find_undefined_derivatives(phase, at_zero, guessed[kind]):
+            texts.append(f"{at_zero.what} '{at_zero.rows[row]}' of {phase.label} has {defect}: {_REMEDY}")
     return texts
 
 
 def _find_undefined_derivatives(
-    phase: Phase, tried: FunctionValues, guessed: FunctionValues
+    phase: Phase, at_zero: FunctionValues, guessed: FunctionValues
 ) -> Iterator[tuple[int, str]]:
     """Yield the rows with undefined or zero derivatives at zero controls and at the guess."""
     n = phase.model.states.size
     columns = slice(n, n + phase.model.controls.size)
-    by_controls = tried.derivatives[:, columns]
-    finite = np.all(np.isfinite(tried.values), axis=1)
+    by_controls = at_zero.derivatives[:, columns]
+    finite = np.all(np.isfinite(at_zero.values), axis=1)
     for row in np.flatnonzero(finite & ~np.all(np.isfinite(by_controls), axis=(1, 2))):
         yield int(row), "no derivative where controls are zero"
-    if tried.what != "path constraint":  # the following cases concern limits
+    if at_zero.what != "path constraint":  # the following cases concern limits
         return
     box, controls = phase.get_path_bounds(), phase.model.symbols("control")
     depends = np.array(ca.which_depends(phase.path_expression(), controls, 1, True))
-    flat = depends & np.all(by_controls == 0, axis=(1, 2))
-    below, above = tried.values < box.lower[:, None], tried.values > box.upper[:, None]
-    at_limit = np.all((tried.values == box.lower[:, None]) | (tried.values == box.upper[:, None]), axis=1)
-    for row in np.flatnonzero(flat & at_limit):
+    flat_at_zero = depends & np.all(by_controls == 0, axis=(1, 2))
+    violated = (at_zero.values < box.lower[:, None]) | (at_zero.values > box.upper[:, None])
+    at_limit = np.all((at_zero.values == box.lower[:, None]) | (at_zero.values == box.upper[:, None]), axis=1)
+    for row in np.flatnonzero(flat_at_zero & at_limit):
         yield (
             int(row),
             "its limit, and no slope, where controls are zero, so that the solver's Jacobian is singular",
         )
-    stuck = flat & np.any(below | above, axis=1) & np.all(guessed.derivatives[:, columns] == 0, axis=(1, 2))
-    for row in np.flatnonzero(stuck):
+    flat_at_guess = np.all(guessed.derivatives[:, columns] == 0, axis=(1, 2))
+    for row in np.flatnonzero(flat_at_zero & np.any(violated, axis=1) & flat_at_guess):
         yield (
             int(row),
             "no slope at the guess, where controls are zero and it is violated, so that the solver cannot reduce it",
@@ -200,21 +201,21 @@ class FunctionValues:
 
     @classmethod
     def read_casadi_function_values(
-        cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any
+        cls, kind: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any
     ) -> FunctionValues:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
         shape = (len(rows), len(columns), values.shape[1])
-        return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
+        return cls(kind, rows, columns, values, jacobian.reshape(shape, order="F"))
 
     def find_nonfinite_value(self) -> tuple[str, int] | None:
         """Return the first quantity that is not finite, and the index of its time."""
-        bad = np.argwhere(~np.isfinite(self.values))
-        if bad.size:
-            row, time = bad[np.argmin(bad[:, 1])]
+        nonfinite_indices = np.argwhere(~np.isfinite(self.values))
+        if nonfinite_indices.size:
+            row, time = nonfinite_indices[np.argmin(nonfinite_indices[:, 1])]
             return f"{self.what} '{self.rows[row]}' is {self.values[row, time]}", int(time)
-        bad = np.argwhere(~np.isfinite(self.derivatives))
-        if bad.size:
-            row, column, time = bad[np.argmin(bad[:, 2])]
+        nonfinite_indices = np.argwhere(~np.isfinite(self.derivatives))
+        if nonfinite_indices.size:
+            row, column, time = nonfinite_indices[np.argmin(nonfinite_indices[:, 2])]
             slope = (
                 f"the derivative of {self.what} '{self.rows[row]}' with respect to '{self.columns[column]}'"
             )
@@ -249,11 +250,11 @@ def evaluate_functions_along_phase(
 ) -> dict[str, FunctionValues]:
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
     columns = (*phase.model.states.labels, *phase.model.controls.labels, *problem.parameters.labels)
-    tried = {}
-    for what, rows, function in _get_phase_functions_with_jacobian(problem, phase):
-        outputs = function(times[None], states, controls, phase.model.parameter_values, parameters)
-        tried[what] = FunctionValues.read_casadi_function_values(what, rows, columns, outputs)
-    return tried
+    functions = {}
+    for kind, rows, function in _get_phase_functions_with_jacobian(problem, phase):
+        outputs = function(times.reshape(1, -1), states, controls, phase.model.parameter_values, parameters)
+        functions[kind] = FunctionValues.read_casadi_function_values(kind, rows, columns, outputs)
+    return functions
 
 
 def find_nonfinite_function_at_guess(problem: ProblemData, phase: Phase) -> NonfiniteValue | None:

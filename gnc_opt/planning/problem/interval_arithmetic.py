@@ -209,9 +209,9 @@ class SymbolRanges:
 
     def find_expression_sign(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
-        found = self.bound_expression_values(expression)
-        if found.lower[0] >= 0 or found.upper[0] <= 0:
-            return 1 if found.lower[0] >= 0 else -1
+        value_range = self.bound_expression_values(expression)
+        if value_range.lower[0] >= 0 or value_range.upper[0] <= 0:
+            return 1 if value_range.lower[0] >= 0 else -1
         if expression.is_symbolic():
             return 0
         for symbol in ca.symvar(expression):  # intervals overestimate repeated factors: v / 0.8 - 0.8 v

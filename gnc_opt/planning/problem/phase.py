@@ -361,18 +361,18 @@ class Phase(StrictAttributes):
 
     def add_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> None:
         """Add states (possibly former controls) with their rates; named bounds are kept."""
-        old, box = self.model, self.numbers
+        old, numbers = self.model, self.numbers
         self._owner.require_mutable()
         model = old.with_states(rates, controls)
         bounds = {
-            **split_bounds_by_name(box.states, old.states),
-            **split_bounds_by_name(box.controls, old.controls),
+            **split_bounds_by_name(numbers.states, old.states),
+            **split_bounds_by_name(numbers.controls, old.controls),
         }
         self._replace_bounds_and_guess(
             states=stack_named_bounds(bounds, model.states),
             controls=stack_named_bounds(bounds, model.controls),
-            initial=stack_named_bounds(split_bounds_by_name(box.initial, old.states), model.states),
-            final=stack_named_bounds(split_bounds_by_name(box.final, old.states), model.states),
+            initial=stack_named_bounds(split_bounds_by_name(numbers.initial, old.states), model.states),
+            final=stack_named_bounds(split_bounds_by_name(numbers.final, old.states), model.states),
         )
         self.model = model
         for end, symbols in self._ends.items():
@@ -492,15 +492,15 @@ class Phase(StrictAttributes):
         smallest = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
         return bool(smallest[0] > 0) or vector.name in self._nonaffine_vectors
 
-    def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
-        """Record that functions use a vector control; ``on_sphere`` None: `has_unit_direction` follows from them."""
+    def record_vector_control(self, vector: VectorControl, *, unit_direction: bool | None) -> None:
+        """Record that functions use a vector control; ``unit_direction`` None: `has_unit_direction` follows from them."""
         lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.state_derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vector_controls(expression)
         self._constrain_direction_to_unit_length(vector)
-        if on_sphere is not None:
-            self._unit_directions[vector.name] = on_sphere
+        if unit_direction is not None:
+            self._unit_directions[vector.name] = unit_direction
 
     def describe_reformulation(self, *texts: str) -> None:
         """Add descriptions of a reformulation that keeps the controls."""

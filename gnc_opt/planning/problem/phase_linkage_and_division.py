@@ -32,8 +32,9 @@ def build_linkage_constraints(
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
         raise ProblemError(f"{label} of problem '{problem}' joins a phase to itself: use time=False.")
-    own = first.own_states | second.own_states
-    shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
+    own_states = first.own_states | second.own_states
+    common = [name for name in first.model.states.names if name in second.model.states]
+    shared = [name for name in common if name not in own_states]
     names = shared if states is None else _read_state_names(states, f"the states of {label}")
     jumps = (
         {}
@@ -91,8 +92,8 @@ def divide_phase(
     n_points = np.size(_read_phase_division_points(phase, times, fractions))
     names = [f"{phase.name}_{k + 2}" for k in range(n_points)]
     parts = [phase, *phase.create_following_phases(names)]
-    marks = [begin, *_read_phase_division_times(phase, times, fractions, begin, end), end]
-    for part, (first, last) in zip(parts, pairwise(marks), strict=True):
+    boundary_times = [begin, *_read_phase_division_times(phase, times, fractions, begin, end), end]
+    for part, (first, last) in zip(parts, pairwise(boundary_times), strict=True):
         part.numbers = replace(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
         )
@@ -102,7 +103,7 @@ def divide_phase(
         problem.link(one, other, states=phase.model.states.names)
     duration = parts[-1].final_time - phase.initial_time
     if fractions is not None:
-        for part, share, mark in zip(parts[1:], np.ravel(fractions), marks[1:], strict=False):
+        for part, share, mark in zip(parts[1:], np.ravel(fractions), boundary_times[1:], strict=False):
             if not mark.is_fixed[0]:
                 elapsed = part.initial_time - phase.initial_time
                 problem.constrain(f"start of {part.name}", elapsed - float(share) * duration, equals=0.0)
@@ -141,11 +142,11 @@ def _read_phase_division_times(
 
 def _check_phase_can_be_divided(problem: DivisibleProblem, phase: Phase) -> None:
     problem.require_mutable()
-    stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
+    functions = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (
         phase.integrands
         or phase.numbers.guess.values
-        or ca.depends_on(stated, ca.vertcat(phase.end_states("final"), phase.final_time))
+        or ca.depends_on(functions, ca.vertcat(phase.end_states("final"), phase.final_time))
     ):
         raise ProblemError(
             f"{phase.label} has an integral, a guess, or a cost or constraint at its end: call divide() first "

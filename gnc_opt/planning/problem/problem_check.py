@@ -73,15 +73,12 @@ def check_bounds_and_times(problem: ProblemData) -> None:
     _check_cost_varies(problem)
 
 
-# --- numbers ------------------------------------------------------------------------------------------
-
-
 def _check_phase_times(phase: Phase) -> None:
     initial, final = phase.time_ranges()
     span = phase.numbers.duration
     shortest, longest = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
-    asked = phase.numbers
-    times = f"initial time {_format_range(asked.initial_time, 0)} s, final time {_format_range(asked.final_time, 0)} s"
+    first, last = (_format_range(time, 0) for time in (phase.numbers.initial_time, phase.numbers.final_time))
+    times = f"initial time {first} s, final time {last} s"
     if longest < 0:
         raise ProblemError(
             f"{phase.label} ends before it starts ({times}): correct time(initial=..., final=...)."
@@ -92,9 +89,8 @@ def _check_phase_times(phase: Phase) -> None:
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, shortest - span.upper[0], span.lower[0] - longest) > slack:
         raise ProblemError(
-            f"{phase.label} cannot last {_format_range(span, 0)} s between an initial time of "
-            f"{_format_range(asked.initial_time, 0)} s "
-            f"and a final time of {_format_range(asked.final_time, 0)} s: correct time(..., duration=...)."
+            f"{phase.label} cannot last {_format_range(span, 0)} s between an initial time of {first} s "
+            f"and a final time of {last} s: correct time(..., duration=...)."
         )
 
 
@@ -122,11 +118,11 @@ def _check_path_constraints_at_ends(problem: ProblemData, phase: Phase) -> None:
         ("initial", "final"), phase.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect_bounds(values, numbers.states), numbers.controls, p, q)
-        reached = bound_function_values(function, arguments)
-        for k in _find_infeasible_constraint_rows(reached, box):
+        value_range = bound_function_values(function, arguments)
+        for k in _find_infeasible_constraint_rows(value_range, box):
             raise ProblemError(
                 f"path constraint '{phase.path_labels[k]}' cannot hold with the {end} values of {phase.label}: it is "
-                f"{_format_range(reached, k)} there, not within {_format_range(box, k)}: correct one of the two."
+                f"{_format_range(value_range, k)} there, not within {_format_range(box, k)}: correct one of the two."
             )
 
 
@@ -138,12 +134,12 @@ def _warn_of_duplicate_bounds(problem: ProblemData, phase: Phase) -> None:
     p = Interval(phase.model.parameter_values, phase.model.parameter_values)
     time = Interval(phase.time_ranges()[0].lower, phase.time_ranges()[1].upper)
     function = _build_path_constraint_function(problem, phase)
-    reached = bound_function_values(function, (time, numbers.states, numbers.controls, p, q))
-    slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
+    values = bound_function_values(function, (time, numbers.states, numbers.controls, p, q))
+    slack = ROUNDING * np.maximum(np.abs(values.lower), np.abs(values.upper))
     with np.errstate(invalid="ignore"):
-        same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
+        implied = (np.abs(values.upper - box.upper) <= slack) | (np.abs(values.lower - box.lower) <= slack)
     rows = ca.vertsplit(phase.path_expression())
-    for k in np.flatnonzero(same & np.isfinite(slack) & ~box.is_fixed):
+    for k in np.flatnonzero(implied & np.isfinite(slack) & ~box.is_fixed):
         symbols = ca.symvar(rows[int(k)])
         if len(symbols) == 1:
             warn_user(
@@ -152,9 +148,9 @@ def _warn_of_duplicate_bounds(problem: ProblemData, phase: Phase) -> None:
             )
 
 
-def _find_infeasible_constraint_rows(reached: Interval, box: Interval) -> list[int]:
-    slack = ACTIVE * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
-    outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
+def _find_infeasible_constraint_rows(value_range: Interval, box: Interval) -> list[int]:
+    slack = ACTIVE * (1.0 + np.minimum(np.abs(value_range.lower), np.abs(value_range.upper)))
+    outside = (value_range.lower > box.upper + slack) | (value_range.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 
 
@@ -188,11 +184,11 @@ def _check_boundary_constraints(problem: ProblemData) -> None:
         return ca.Function("constraints", list_endpoint_arguments(problem), [ca.densify(rows)])
 
     function = problem.memoize("constraints", build_constraint_function)
-    reached = bound_function_values(function, _list_endpoint_ranges(problem))
-    for k in _find_infeasible_constraint_rows(reached, box):
+    value_range = bound_function_values(function, _list_endpoint_ranges(problem))
+    for k in _find_infeasible_constraint_rows(value_range, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
-            f"and end values of the phases: it is {_format_range(reached, k)} there, not within "
+            f"and end values of the phases: it is {_format_range(value_range, k)} there, not within "
             f"{_format_range(box, k)}: correct one of the two."
         )
 
@@ -214,11 +210,11 @@ def _check_cost_varies(problem: ProblemData) -> None:
         return ca.Function("cost", list_endpoint_arguments(problem), [ca.densify(cost)])
 
     function = problem.memoize(("cost", fixed), build_cost_function)
-    reached = bound_function_values(function, _list_endpoint_ranges(problem))
-    least, most = float(reached.lower[0]), float(reached.upper[0])
-    if most <= least + ROUNDING * abs(least):
+    cost_range = bound_function_values(function, _list_endpoint_ranges(problem))
+    lower, upper = float(cost_range.lower[0]), float(cost_range.upper[0])
+    if upper <= lower + ROUNDING * abs(lower):
         raise ProblemError(
-            f"the cost of problem '{problem.name}' is {least:g} for all controls, because it contains only "
+            f"the cost of problem '{problem.name}' is {lower:g} for all controls, because it contains only "
             "fixed quantities: free one or minimise another; the integral of the squared controls gives a smooth "
             "feasible trajectory."
         )
@@ -241,9 +237,6 @@ def _format_range(interval: Interval | None, i: int) -> str:
     return f"{lower:g}" if lower == upper else f"[{lower:g}, {upper:g}]"
 
 
-# --- unused variables ---------------------------------------------------------------------------------
-
-
 def _collect_used_symbols(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
@@ -261,11 +254,11 @@ def check_unused_controls(problem: ProblemData) -> None:
         acted_on = ca.vertcat(phase.model.state_derivative(), phase.path_expression(), *counts)
         used = _collect_used_symbols([problem.substitute_parameters(phase, acted_on)])
         for variable in phase.model.controls.variables:
-            idle = _find_unused_variable_components(variable, phase.model.symbol(variable.name), used)
-            if idle:
+            unused = _find_unused_variable_components(variable, phase.model.symbol(variable.name), used)
+            if unused:
                 raise ProblemError(
-                    f"control '{idle[0]}' of {phase.label} appears in no dynamics, path constraint or integral of the "
-                    "cost or a constraint: use it or remove it (its value would be arbitrary)."
+                    f"control '{unused[0]}' of {phase.label} appears in no dynamics, path constraint or integral of "
+                    "the cost or a constraint: use it or remove it (its value would be arbitrary)."
                 )
 
 

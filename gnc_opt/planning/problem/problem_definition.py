@@ -108,13 +108,13 @@ class ProblemData(StrictAttributes):
 
     def path_units(self) -> dict[str, str]:
         """Return the units of the path constraints of all phases by label; "" for the lengths of directions."""
-        found = {
+        units = {
             label: c.unit
             for phase in self.phases.values()
             for c in phase.paths.values()
             for label in c.labels
         }
-        return defaultdict(str, found)
+        return defaultdict(str, units)
 
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
         """Add a free parameter."""
@@ -142,12 +142,12 @@ class ProblemData(StrictAttributes):
     def get_phase(self, phase: Phase | str | None = None) -> Phase:
         """Return a phase by name; ``None`` for the only phase."""
         if isinstance(phase, Phase):
-            own = self.phases.get(phase.name)
-            if own is None or own.initial_time is not phase.initial_time:
+            own_phase = self.phases.get(phase.name)
+            if own_phase is None or own_phase.initial_time is not phase.initial_time:
                 raise ProblemError(
                     f"{phase.label} is not a phase of problem '{self.name}': use one of its own."
                 )
-            return own
+            return own_phase
         if phase is None:
             if len(self.phases) != 1:
                 raise ProblemError(

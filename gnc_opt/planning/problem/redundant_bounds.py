@@ -32,9 +32,9 @@ RELAXATION_SHARE = 0.1
 def relax_state_bounds(phase: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
     bounds, ends = phase.numbers.states, (phase.numbers.initial, phase.numbers.final)
-    reach = np.abs([limit for box in (bounds, *ends) for limit in (box.lower, box.upper)])
-    room = RELAXATION_SHARE * np.max(set_nonfinite_to_zero(reach), axis=0)
-    return Interval(bounds.lower - room, bounds.upper + room)
+    magnitudes = np.abs([limit for box in (bounds, *ends) for limit in (box.lower, box.upper)])
+    slack = RELAXATION_SHARE * np.max(set_nonfinite_to_zero(magnitudes), axis=0)
+    return Interval(bounds.lower - slack, bounds.upper + slack)
 
 
 def find_monotone_states(problem: ProblemData, phase: Phase, *, undriven: bool = False) -> tuple[Mask, Mask]:
@@ -48,89 +48,89 @@ def find_monotone_states(problem: ProblemData, phase: Phase, *, undriven: bool =
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     if not np.any(bounded):
         return bounded, bounded
-    derivative, driven = phase.model.state_derivative(), np.full_like(bounded, undriven)
-    driven[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
+    derivative, is_driven = phase.model.state_derivative(), np.full_like(bounded, undriven)
+    is_driven[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
     rates = problem.memoize(
         ("rates", phase.name), lambda: build_function_along_phase(problem, phase, "rates", derivative)
     )
     values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
-    loose, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
-    boxes = (time, numbers.states, loose, *others)
-    asked = tuple(end.tobytes() for box in boxes for end in (box.lower, box.upper))
-    place = ("one way", phase.name, undriven)
-    known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
-    if known is None or known[0] != asked:
+    wider, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
+    boxes = (time, numbers.states, wider, *others)
+    arguments = tuple(end.tobytes() for box in boxes for end in (box.lower, box.upper))
+    key = ("one way", phase.name, undriven)
+    cached: tuple[Any, Mask, Mask] | None = problem.builds.get(key)
+    if cached is None or cached[0] != arguments:
         relaxed, rising, falling = np.zeros_like(bounded), bounded.copy(), bounded.copy()
         while True:  # fewer states are relaxed in every pass
             box = Interval(
-                *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
+                *np.where(relaxed, (wider.lower, wider.upper), (numbers.states.lower, numbers.states.upper))
             )
             rate = bound_function_values(rates, [time, box, *others])
-            rising &= (rate.lower == 0) & (driven | (rate.upper == 0))
-            falling &= (rate.upper == 0) & (driven | (rate.lower == 0))
+            rising &= (rate.lower == 0) & (is_driven | (rate.upper == 0))
+            falling &= (rate.upper == 0) & (is_driven | (rate.lower == 0))
             if np.array_equal(relaxed, rising | falling):
                 break
             relaxed = rising | falling
-        problem.builds[place] = known = (asked, rising, falling)
-    return known[1:]
+        problem.builds[key] = cached = (arguments, rising, falling)
+    return cached[1:]
 
 
 def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
-    idle = np.zeros((2, phase.model.states.size), dtype=bool)
+    is_implied = np.zeros((2, phase.model.states.size), dtype=bool)
     bounds = phase.numbers.states
-    for places in _group_state_vector_components(phase):
-        length = _compute_vector_norm_at_fixed_end(phase, places)
-        least, most = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
-        below, above = -bounds.lower[places], bounds.upper[places]
-        lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, phase, places, length):
-            idle[0, places], idle[1, places] = lower, upper
-    return idle[0], idle[1]
+    for rows in _group_state_vector_components(phase):
+        length = _compute_vector_norm_at_fixed_end(phase, rows)
+        shortest, longest = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
+        limits = -bounds.lower[rows], bounds.upper[rows]
+        lower, upper = ((shortest <= limit) & (limit <= longest) for limit in limits)
+        if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, phase, rows, length):
+            is_implied[0, rows], is_implied[1, rows] = lower, upper
+    return is_implied[0], is_implied[1]
 
 
 def _group_state_vector_components(phase: Phase) -> list[Indices]:
     """Return the indices of state vectors; scalar states with equal symmetric bounds form a vector."""
     states, bounds = phase.model.states, phase.numbers.states
-    found, alike = [], dict[float, list[int]]()
+    vectors, rows_by_bound = [], dict[float, list[int]]()
     for variable in states.variables:
-        places = np.arange(states.size)[states.slice(variable.name)]
-        if places.size > 1:
-            found.append(places)
-        elif np.isfinite(bounds.upper[places[0]]) and bounds.lower[places[0]] == -bounds.upper[places[0]]:
-            alike.setdefault(float(bounds.upper[places[0]]), []).append(int(places[0]))
-    return found + [np.array(places) for places in alike.values() if len(places) > 1]
+        rows = np.arange(states.size)[states.slice(variable.name)]
+        if rows.size > 1:
+            vectors.append(rows)
+        elif np.isfinite(bounds.upper[rows[0]]) and bounds.lower[rows[0]] == -bounds.upper[rows[0]]:
+            rows_by_bound.setdefault(float(bounds.upper[rows[0]]), []).append(int(rows[0]))
+    return vectors + [np.array(rows) for rows in rows_by_bound.values() if len(rows) > 1]
 
 
-def _compute_vector_norm_at_fixed_end(phase: Phase, places: Indices) -> float:
+def _compute_vector_norm_at_fixed_end(phase: Phase, rows: Indices) -> float:
     """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
     for value in (phase.numbers.initial, phase.numbers.final):
-        if np.all(value.is_fixed[places]):
-            return float(np.linalg.norm(value.lower[places]))
+        if np.all(value.is_fixed[rows]):
+            return float(np.linalg.norm(value.lower[rows]))
     return np.nan
 
 
-def _is_vector_norm_constant(problem: ProblemData, phase: Phase, places: Indices, length: float) -> bool:
+def _is_vector_norm_constant(problem: ProblemData, phase: Phase, rows: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build_vector_norm_rate_function() -> Any:
-        rows = places.tolist()
-        products = phase.model.symbols("state")[rows] * phase.model.state_derivative()[rows]
+        indices = rows.tolist()
+        products = phase.model.symbols("state")[indices] * phase.model.state_derivative()[indices]
         return build_function_along_phase(problem, phase, "along_itself", products)
 
-    terms = problem.memoize(
-        ("rate along itself", phase.name, places.tobytes()), build_vector_norm_rate_function
+    norm_rate_terms = problem.memoize(
+        ("rate along itself", phase.name, rows.tobytes()), build_vector_norm_rate_function
     )
     random = np.random.default_rng(5)
-    free = problem.get_parameter_bounds().lower.size
+    n_parameters = problem.get_parameter_bounds().lower.size
     for _ in range(8):
         x = random.uniform(0.5, 1.5, phase.model.states.size)
-        x[places] = random.standard_normal(places.size)
-        x[places] *= length / np.linalg.norm(x[places])
+        x[rows] = random.standard_normal(rows.size)
+        x[rows] *= length / np.linalg.norm(x[rows])
         u = random.uniform(0.5, 1.5, phase.model.controls.size)
-        t, q = random.uniform(0.5, 1.5), random.uniform(0.5, 1.5, free)
-        values = np.asarray(terms(t, x, u, phase.model.parameter_values, q)).ravel()
+        t, q = random.uniform(0.5, 1.5), random.uniform(0.5, 1.5, n_parameters)
+        values = np.asarray(norm_rate_terms(t, x, u, phase.model.parameter_values, q)).ravel()
         if not abs(values.sum()) <= ROUNDING * np.abs(values).sum():
             return False
     return True
@@ -147,14 +147,14 @@ def find_bounds_not_implied_by_norm(problem: ProblemData, phase: Phase) -> Inter
             continue
         squared = partial(find_sum_of_squares_variables, phase, constraint.expression)
         key = ("vector of length", phase.name, name, *phase.model.controls.names)
-        found, constant = problem.memoize(key, squared)
+        variable_rows, constant = problem.memoize(key, squared)
         length, rows = (
             compute_vector_length_from_equality(constraint.interval, constant),
-            np.array(found, dtype=int),
+            np.array(variable_rows, dtype=int),
         )
-        places = rows[rows >= phase.model.states.size] - phase.model.states.size
-        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
-        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
+        controls = rows[rows >= phase.model.states.size] - phase.model.states.size
+        lower[controls] = np.where(lower[controls] <= -length, -np.inf, lower[controls])
+        upper[controls] = np.where(upper[controls] >= length, np.inf, upper[controls])
     return Interval(lower, upper)
 
 
@@ -168,11 +168,11 @@ def find_sum_of_squares_variables(phase: Phase, expression: Any) -> tuple[list[i
     if not all(part.is_constant() for part in (matrix, linear, constant)):
         return [], 0.0
     weights = np.asarray(ca.DM(matrix))
-    places = np.flatnonzero(np.diag(weights))
+    rows = np.flatnonzero(np.diag(weights))
     only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(
         np.asarray(ca.DM(linear))
     )
-    return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
+    return [int(i) for i in rows] if only_squares else [], float(ca.DM(constant))
 
 
 def compute_vector_length_from_equality(square: Interval, constant: float) -> float:
@@ -187,34 +187,34 @@ def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> Phase
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if phase.numbers.arcs is not None:
         return phase.numbers
-    old, box = phase.numbers.controls, find_bounds_not_implied_by_norm(problem, phase)
-    turns = _find_unrestricted_angles(problem, phase, box)
-    free = turns.unbounded_controls
-    lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
-    if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
+    bounds, unimplied = phase.numbers.controls, find_bounds_not_implied_by_norm(problem, phase)
+    angles = _find_unrestricted_angles(problem, phase, unimplied)
+    free = angles.unbounded_controls
+    lower, upper = np.where(free, -np.inf, unimplied.lower), np.where(free, np.inf, unimplied.upper)
+    if np.array_equal(lower, bounds.lower) and np.array_equal(upper, bounds.upper):
         return phase.numbers
-    return replace(phase.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
+    return replace(phase.numbers, controls=Interval(lower, upper), turns=angles if np.any(free) else None)
 
 
 def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval) -> UnboundedAngles:
-    width, none = box.upper - box.lower, np.zeros(box.lower.size)
-    turns = UnboundedAngles(none - np.inf, none + np.inf, none)
+    width, zeros = box.upper - box.lower, np.zeros(box.lower.size)
+    angles = UnboundedAngles(zeros - np.inf, zeros + np.inf, zeros)
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
-        return turns
+        return angles
     if not _TURNING & problem.memoize(
         ("operations", phase.name), lambda: collect_casadi_operation_codes(stack_phase_expressions(phase))
     ):
-        return turns
+        return angles
     probe = build_angle_invariance_test(problem, phase)
     if not np.all(np.any(np.isfinite(probe.function_values_without_shift), axis=1)):
-        return turns
+        return angles
     for i in np.flatnonzero(bounded):
         period = probe.find_angle_period(int(i), [*PERIODS, width[i]])
         if period and width[i] >= (1.0 - AT_LIMIT) * period:  # pi is often written with six digits
             half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
-            turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
-    return turns
+            angles.periods[i], angles.lower[i], angles.upper[i] = period, middle - half, middle + half
+    return angles
 
 
 def build_angle_invariance_test(problem: ProblemData, phase: Phase, *, of_states: bool = False) -> AngleProbe:

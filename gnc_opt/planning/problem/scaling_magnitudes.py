@@ -38,16 +38,15 @@ def estimate_state_and_control_magnitudes(phase: Phase, *, overridden: bool = Tr
     )
     if overridden:
         _overwrite_scales_by_user_input(controls, phase.model.controls, numbers.scales)
-    reach = np.max(np.abs(start.states), axis=1, initial=0.0)
+    magnitudes = np.max(np.abs(start.states), axis=1, initial=0.0)
     drift = _estimate_state_change_over_phase(phase, start, controls)
-    beside = _estimate_state_change_over_phase(
-        phase, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
+    drift_beside_guess = _estimate_state_change_over_phase(
+        phase, replace(start, states=start.states + GUESS_OFFSET_SHARE * magnitudes[:, None]), controls
     )
-    drift = np.where(drift > ROUNDING * beside, drift, beside)
-    reach = np.where(
-        reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
-    )
-    states = choose_scaling_magnitudes_from_bounds(numbers.states, reach)
+    drift = np.where(drift > ROUNDING * drift_beside_guess, drift, drift_beside_guess)
+    extended = np.clip(drift, magnitudes, UNBOUNDED_STATE_MAX_RATIO * magnitudes)
+    magnitudes = np.where(magnitudes > ROUNDING * drift_beside_guess, extended, drift)
+    states = choose_scaling_magnitudes_from_bounds(numbers.states, magnitudes)
     if overridden:
         _overwrite_scales_by_user_input(states, phase.model.states, numbers.scales)
     return states, controls
@@ -59,41 +58,41 @@ def _estimate_state_change_over_phase(phase: Phase, start: SampledGuess, magnitu
     times = start.times[0] + SAMPLE_FRACTIONS * (start.times[1] - start.times[0])
     rates = [np.zeros(phase.model.states.size)]
     guessed = np.any(start.controls != 0, axis=1)
-    for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
-        endless = np.where(guessed[:, None], start.controls, usual[:, None])
-        controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
+    for limit, typical in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
+        unlimited = np.where(guessed[:, None], start.controls, typical[:, None])
+        controls = np.where(np.isfinite(limit)[:, None], limit[:, None], unlimited)
         f = evaluate_casadi_function(
             phase.model.function, times, start.states, controls, phase.model.parameter_values
         )
         rates.append(np.max(np.abs(set_nonfinite_to_zero(f)), axis=1))
-    together, alone = np.max(rates, axis=0), _estimate_state_rate_changes(phase, start, times, magnitudes)
+    joint, single = np.max(rates, axis=0), _estimate_state_rate_changes(phase, start, times, magnitudes)
     # Below this share the effects of several controls at their bounds cancel.
-    rate = np.where(together > SMALL * alone, together, alone)
+    rate = np.where(joint > SMALL * single, joint, single)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
 def _estimate_state_rate_changes(phase: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
-    count, base = magnitudes.size, start.controls
-    moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
+    count, guess = magnitudes.size, start.controls
+    controls = np.hstack([guess + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
     f = evaluate_casadi_function(
         phase.model.function,
         np.tile(times, count + 1),
         np.tile(start.states, count + 1),
-        moved,
+        controls,
         phase.model.parameter_values,
     )
     f = set_nonfinite_to_zero(f).reshape(len(f), count + 1, times.size)
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
-def choose_scaling_magnitudes_from_bounds(interval: Interval, reach: Array) -> Array:
-    """Return typical magnitudes: the larger of two finite bounds, else ``reach``, else 1."""
+def choose_scaling_magnitudes_from_bounds(interval: Interval, unbounded: Array) -> Array:
+    """Return typical magnitudes: the larger of two finite bounds, else ``unbounded``, else 1."""
     bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
     limits = np.maximum(
         np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
     )
-    scales = np.where(bounded & (limits > 0), limits, reach)
+    scales = np.where(bounded & (limits > 0), limits, unbounded)
     return replace_zeros_by_one(scales)
 
 

@@ -70,9 +70,9 @@ def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
 
 
 def _find_table_calls(expression: Any) -> tuple[TableCall, ...]:
-    known = [use for s in find_declared_symbols(ca.symvar(expression)) for use in s.table_calls]
-    present = {node.element_hash() for node in iterate_subexpressions(expression)} if known else set()
-    return tuple({id(use): use for use in known if use.subexpression_hashes & present}.values())
+    calls = [use for s in find_declared_symbols(ca.symvar(expression)) for use in s.table_calls]
+    present = {node.element_hash() for node in iterate_subexpressions(expression)} if calls else set()
+    return tuple({id(use): use for use in calls if use.subexpression_hashes & present}.values())
 
 
 def find_points_outside_tables(
@@ -104,18 +104,18 @@ def find_boundary_values_outside_tables(problem: ProblemData, ends: list[Any]) -
 def _find_values_outside_tables(
     uses: tuple[TableCall, ...], arguments: Array, phase: str, times: Array
 ) -> list[OutsideTable]:
-    found, row = [], 0
+    points, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
-            beyond = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
-            out = np.flatnonzero(beyond > AT_LIMIT * (grid[-1] - grid[0]))
-            if out.size:
-                worst = int(np.argmax(beyond))
-                span = (float(times[out[0]]), float(times[out[-1]]))
-                value, when = float(arguments[row, worst]), float(times[worst])
-                found.append(OutsideTable(use.table, phase, axis, value, when, span))
+            excess = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
+            outside = np.flatnonzero(excess > AT_LIMIT * (grid[-1] - grid[0]))
+            if outside.size:
+                worst = int(np.argmax(excess))
+                span = (float(times[outside[0]]), float(times[outside[-1]]))
+                value, time = float(arguments[row, worst]), float(times[worst])
+                points.append(OutsideTable(use.table, phase, axis, value, time, span))
             row += 1
-    return found
+    return points
 
 
 def list_endpoint_arguments(problem: ProblemData) -> list[Any]:
@@ -141,24 +141,24 @@ def substitute_parameters(problem: ProblemData, expression: Any) -> Any:
 
 def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     """Return the model parameters of each phase as function arguments; repeated models get placeholders."""
-    taken: set[int] = set()
+    listed: set[int] = set()
     arguments = []
     for phase in phases:
-        own = phase.model.symbols("parameter")
-        elements = {element.element_hash() for element in ca.vertsplit(own)}
-        arguments.append(ca.SX.sym("unused", own.shape[0]) if elements & taken else own)
-        taken |= elements
+        symbols = phase.model.symbols("parameter")
+        elements = {element.element_hash() for element in ca.vertsplit(symbols)}
+        arguments.append(ca.SX.sym("unused", symbols.shape[0]) if elements & listed else symbols)
+        listed |= elements
     return arguments
 
 
 def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
-    own = [s for phase in phases for s in (*list_endpoint_symbols(phase), phase.model.symbols("parameter"))]
-    foreign = find_unknown_symbols(expression, [*own, free_parameters])
-    if not foreign:
+    known = [s for phase in phases for s in (*list_endpoint_symbols(phase), phase.model.symbols("parameter"))]
+    unknown = find_unknown_symbols(expression, [*known, free_parameters])
+    if not unknown:
         return
-    name = foreign[0]
+    name = unknown[0]
     for phase in phases:
         if name not in find_unknown_symbols(expression, list(phase.model.symbolic_arguments())):
             raise ProblemError(
@@ -180,10 +180,10 @@ def check_phase_symbols(
     what: str,
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
-    foreign = find_unknown_symbols(expression, [*phase.model.symbolic_arguments(), free_parameters])
-    if not foreign:
+    unknown = find_unknown_symbols(expression, [*phase.model.symbolic_arguments(), free_parameters])
+    if not unknown:
         return
-    name = foreign[0]
+    name = unknown[0]
     if name not in find_unknown_symbols(
         expression, [s for other in phases for s in list_endpoint_symbols(other)]
     ):
@@ -191,14 +191,14 @@ def check_phase_symbols(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
         )
-    known = [
+    candidates = [
         n
         for k in (phase.model.states, phase.model.controls, phase.model.parameters, parameters)
         for n in k.names
     ]
     raise ProblemError(
         f"{what} uses '{name}', which is not a symbol of model '{phase.model.name}': "
-        f"{suggest_model_symbol(name, known)}"
+        f"{suggest_model_symbol(name, candidates)}"
     )
 
 

@@ -47,8 +47,8 @@ def resample_guesses(
     shared = np.union1d(old_times, times)
     shared = shared[(shared >= times[0]) & (shared <= times[-1])]
     resampled = {
-        name: _interpolate_guess(value, given, shared) if _is_guess_table_over_times(value, given) else value
-        for values, given in ((old, old_times), (new, times))
+        name: _interpolate_guess(value, t, shared) if _is_guess_table_over_times(value, t) else value
+        for values, t in ((old, old_times), (new, times))
         for name, value in values.items()
     }
     return resampled, shared
@@ -64,20 +64,21 @@ def _interpolate_guess(value: GuessValue, times: Array, new_times: Array) -> Arr
 
 
 def sample_guess(
-    value: GuessValue, size: int, at: Array, fractions: Array, times: Array | None, what: str
+    value: GuessValue, size: int, t: Array, fractions: Array, times: Array | None, what: str
 ) -> Array:
-    """Return a guess with ``size`` components at times ``at`` (N,), or fractions of a phase, shape (size, N)."""
+    """Return a guess with ``size`` components at times ``t`` (N,), or fractions of a phase, shape (size, N)."""
     if isinstance(value, VectorizedGuess):
-        sampled = value.function(at)
+        sampled = value.function(t)
     elif callable(value):
-        sampled = np.stack([read_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
+        sampled = np.stack([read_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in t], axis=1)
     elif isinstance(value, tuple):
         sampled = _sample_linear_guess(value, size, fractions, what)
     else:
-        sampled = _interpolate_guess_table(read_float_array(value, what, ProblemError), size, at, times, what)
-    bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
-    if bad.size:
-        raise ProblemError(f"{what} is {sampled[:, bad[0]]} at t = {at[bad[0]]:.4g} s: give finite values.")
+        sampled = _interpolate_guess_table(read_float_array(value, what, ProblemError), size, t, times, what)
+    nonfinite = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
+    if nonfinite.size:
+        value, time = sampled[:, nonfinite[0]], t[nonfinite[0]]
+        raise ProblemError(f"{what} is {value} at t = {time:.4g} s: give finite values.")
     return sampled
 
 
@@ -93,16 +94,16 @@ def _sample_linear_guess(value: tuple[ArrayLike, ...], size: int, fractions: Arr
     return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
 
 
-def _interpolate_guess_table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
+def _interpolate_guess_table(array: Array, size: int, t: Array, times: Array | None, what: str) -> Array:
     constant = array.size in (1, size)
     if times is None and not constant:
         raise ProblemError(
             f"{what} has the shape {array.shape} and no times: give guess(time=[...], ...) with it."
         )
     if times is None or (constant and array.shape[-1:] != times.shape):
-        return np.tile(read_vector(array, size, what)[:, None], at.size)
+        return np.tile(read_vector(array, size, what)[:, None], t.size)
     if array.size != size * times.size:
         raise ProblemError(
             f"{what} has the shape {array.shape}: give ({size}, {times.size}) for {times.size} guess times."
         )
-    return _interpolate_guess(array, times, at)
+    return _interpolate_guess(array, times, t)

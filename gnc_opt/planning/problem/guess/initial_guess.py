@@ -150,15 +150,15 @@ def solve_vector_control_for_rate(
 
     axes = np.eye(size)
     with np.errstate(all="ignore"):
-        does = np.stack(
+        effects = np.stack(
             [0.5 * (evaluate_rates(1.0, axis) - evaluate_rates(1.0, -axis)) for axis in axes], axis=1
         )
-        lacks = rate - evaluate_rates(0.0, axes[0])
-    row_norms = np.linalg.norm(does, axis=1)
-    if not (np.all(np.isfinite(does)) and np.all(np.isfinite(lacks)) and np.any(row_norms > 0)):
+        missing = rate - evaluate_rates(0.0, axes[0])
+    sizes = np.linalg.norm(effects, axis=1)
+    if not (np.all(np.isfinite(effects)) and np.all(np.isfinite(missing)) and np.any(sizes > 0)):
         return None
-    rows = row_norms > 0
-    best = np.linalg.lstsq(does[rows] / row_norms[rows, None], lacks[rows] / row_norms[rows], rcond=None)[0]
+    rows = sizes > 0
+    best = np.linalg.lstsq(effects[rows] / sizes[rows, None], missing[rows] / sizes[rows], rcond=None)[0]
     length = float(np.linalg.norm(best))
     return (length, best / length) if length > 0 else None
 
@@ -174,19 +174,19 @@ def guess_phase_times(phase: Phase) -> Array:
     t0 = _choose_boundary_time_guess(initial, guessed[0], default=0.0)
     span = phase.numbers.duration
     shortest = max(float(span.lower[0]), 0.0)
-    usual = shortest if shortest > 0 else 1.0
+    default_duration = shortest if shortest > 0 else 1.0
     if np.isnan(guessed[1]) and after is not None and not _has_bounded_phase_times(final):
-        usual = _share_time_between_phases(after, t0) or usual
-    tf = _choose_boundary_time_guess(final, guessed[1], default=t0 + usual)
+        default_duration = _share_time_between_phases(after, t0) or default_duration
+    tf = _choose_boundary_time_guess(final, guessed[1], default=t0 + default_duration)
     if tf <= t0 and not final.is_fixed[0]:
-        tf = min(t0 + usual, float(final.upper[0]))
+        tf = min(t0 + default_duration, float(final.upper[0]))
     return np.array([t0, tf])
 
 
 def _find_phases_linked_in_time(phase: Phase) -> tuple[Phase | None, Phase | None]:
-    place = next(k for k, other in enumerate(phase.all_phases) if other.name == phase.name)
-    before = (other for other in phase.all_phases[:place] if other.name == phase.preceding_phase)
-    after = (other for other in phase.all_phases[place + 1 :] if other.preceding_phase == phase.name)
+    index = next(k for k, other in enumerate(phase.all_phases) if other.name == phase.name)
+    before = (other for other in phase.all_phases[:index] if other.name == phase.preceding_phase)
+    after = (other for other in phase.all_phases[index + 1 :] if other.preceding_phase == phase.name)
     return next(before, None), next(after, None)
 
 
@@ -252,16 +252,16 @@ class _LinkedState:
             value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
             guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
         values = []
-        for end, stated, guessed in zip(
+        for end, end_bounds, guessed in zip(
             ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
         ):
-            here = stated.select_components(rows)
-            limited = np.isfinite(here.lower) | np.isfinite(here.upper)
+            bounds = end_bounds.select_components(rows)
+            limited = np.isfinite(bounds.lower) | np.isfinite(bounds.upper)
             constrained = np.clip(
                 phase.known_ends.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper
             )
             open_end = np.where(np.isnan(guessed), constrained, guessed)
-            values.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
+            values.append(np.where(limited, intersect_bounds(bounds, box).midpoint, open_end))
         link = phase.find_linked_phase(name)
         jump = np.zeros(box.lower.size) if link is None else link[1]
         return cls(phase, values[0], values[1], box, float(times[1] - times[0]), jump)
@@ -281,14 +281,14 @@ def _find_linked_phases(phase: Phase, name: str) -> list[_LinkedState]:
 def _guess_linked_states(chain: list[_LinkedState], phase: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _find_next_known_linked_state(chain[index:])
-        begin = np.where(np.isnan(last), ahead, last + link.jump)
-        begin = np.where(np.isnan(begin), link.box.midpoint, np.clip(begin, link.box.lower, link.box.upper))
-        first = np.where(np.isnan(link.start), begin, link.start)
-        share = np.divide(link.duration, time, out=np.ones_like(time), where=time > 0)
-        reached = np.where(np.isnan(ahead), first, first + share * (ahead - first))
-        reached = np.clip(reached, link.box.lower, link.box.upper)
-        last = np.where(np.isnan(link.end), reached, link.end)
+        next_known, time_to_next = _find_next_known_linked_state(chain[index:])
+        start = np.where(np.isnan(last), next_known, last + link.jump)
+        start = np.where(np.isnan(start), link.box.midpoint, np.clip(start, link.box.lower, link.box.upper))
+        first = np.where(np.isnan(link.start), start, link.start)
+        share = np.divide(link.duration, time_to_next, out=np.ones_like(time_to_next), where=time_to_next > 0)
+        final = np.where(np.isnan(next_known), first, first + share * (next_known - first))
+        final = np.clip(final, link.box.lower, link.box.upper)
+        last = np.where(np.isnan(link.end), final, link.end)
         if link.phase is phase:
             break
     return first, last
@@ -297,10 +297,10 @@ def _guess_linked_states(chain: list[_LinkedState], phase: Phase) -> tuple[Array
 def _find_next_known_linked_state(chain: list[_LinkedState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
-    for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):
-        if later is not None:
-            is_known = ~np.isnan(later.start)
-            value = np.where(is_known, later.start, value) - later.jump
+    for link, next_link in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):
+        if next_link is not None:
+            is_known = ~np.isnan(next_link.start)
+            value = np.where(is_known, next_link.start, value) - next_link.jump
             time = np.where(is_known, 0.0, time)
         is_known = ~np.isnan(link.end)
         value, time = np.where(is_known, link.end, value), np.where(is_known, 0.0, time) + link.duration

@@ -54,7 +54,7 @@ def with_random_guess(
         return problem
     rng = np.random.default_rng([seed, index])
     variation, shift = problem, 0.0
-    turned: dict[str, float] = {}
+    turned_angles: dict[str, float] = {}
     for name, phase in problem.phases.items():
         duration = (durations or {}).get(name)
         guessed = guess_phase_times(phase)
@@ -63,13 +63,13 @@ def with_random_guess(
         start = build_phase_guess(phase, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = (
-            start.states + _draw_random_revolutions(problem, phase, rng, ratio, turned),
+            start.states + _draw_random_revolutions(problem, phase, rng, ratio, turned_angles),
             start.controls,
         )
         if duration is not None or not does_start_keep_guess_shape(index):
             magnitudes = estimate_state_and_control_magnitudes(phase)
-            least = 0.0 if duration is None else PERTURBATION_MIN_AMPLITUDE
-            states = _draw_random_states(phase, states, magnitudes[0], rng, least)
+            min_amplitude = 0.0 if duration is None else PERTURBATION_MIN_AMPLITUDE
+            states = _draw_random_states(phase, states, magnitudes[0], rng, min_amplitude)
             controls = _draw_random_controls(
                 phase.numbers.controls, controls, magnitudes[1], rng, duration is not None
             )
@@ -91,30 +91,33 @@ def find_periods_of_angular_states(problem: Problem, phase: Phase) -> Array:
 
 
 def _draw_random_revolutions(
-    problem: Problem, phase: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
+    problem: Problem, phase: Phase, rng: np.random.Generator, ratio: float, turned_angles: dict[str, float]
 ) -> Array:
-    """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""
+    """Return angles to be added to states (n_states, n_fractions); ``turned_angles`` links the phases."""
     numbers, periods = phase.numbers, find_periods_of_angular_states(problem, phase)
     first, last = (intersect_bounds(end, numbers.states) for end in (numbers.initial, numbers.final))
     guess = build_phase_guess(phase, FRACTIONS[[0, -1]]).states
-    added = np.zeros((periods.size, FRACTIONS.size))
+    revolutions = np.zeros((periods.size, FRACTIONS.size))
     for i in np.flatnonzero(periods > 0):
-        label, period = phase.model.states.labels[i], periods[i]
-        start, end = turned.get(label), 0.0
+        label, period, (guessed_first, guessed_last) = phase.model.states.labels[i], periods[i], guess[i]
+        start, end = turned_angles.get(label), 0.0
         if first.is_fixed[i]:
             start = 0.0
         elif start is None:
-            begin = guess[i, 0] + period * rng.uniform(-0.5, 0.5)
-            start = float(np.clip(begin, first.lower[i], first.upper[i])) - guess[i, 0]
+            first_angle = guessed_first + period * rng.uniform(-0.5, 0.5)
+            start = float(np.clip(first_angle, first.lower[i], first.upper[i])) - guessed_first
         if not last.is_fixed[i]:
-            turns = round((guess[i, 1] - guess[i, 0]) / period * (ratio - 1.0)) + rng.integers(-1, 2)
-            low, high = ((edge - guess[i, 1] - start) / period for edge in (last.lower[i], last.upper[i]))
+            n_turns = round((guessed_last - guessed_first) / period * (ratio - 1.0)) + rng.integers(-1, 2)
+            limits = (last.lower[i], last.upper[i])
+            min_turns, max_turns = ((limit - guessed_last - start) / period for limit in limits)
             end = start + period * (
-                float(np.clip(turns, np.ceil(low), np.floor(high))) if low < high else 0.0
+                float(np.clip(n_turns, np.ceil(min_turns), np.floor(max_turns)))
+                if min_turns < max_turns
+                else 0.0
             )
-        added[i] = start + (end - start) * FRACTIONS
-        turned[label] = end
-    return added
+        revolutions[i] = start + (end - start) * FRACTIONS
+        turned_angles[label] = end
+    return revolutions
 
 
 def _split_values_by_variable(layout: Layout, rows: Array) -> dict[str, Any]:
@@ -122,14 +125,14 @@ def _split_values_by_variable(layout: Layout, rows: Array) -> dict[str, Any]:
 
 
 def _draw_random_times(
-    phase: Phase, rng: np.random.Generator, shift: float, known: float | None = None
+    phase: Phase, rng: np.random.Generator, shift: float, known_duration: float | None = None
 ) -> Array:
     """Return initial and final time (2,); a free initial time equals the end of the previous phase."""
     first, last = guess_phase_times(phase)
     initial, final = phase.time_ranges()
-    span, spread, box = last - first, DURATION_MAX_RATIO, phase.numbers.duration
-    if known:
-        span, spread = known, KNOWN_DURATION_MAX_RATIO
+    span, max_ratio, box = last - first, DURATION_MAX_RATIO, phase.numbers.duration
+    if known_duration:
+        span, max_ratio = known_duration, KNOWN_DURATION_MAX_RATIO
     share = rng.uniform()
     if not initial.is_fixed[0]:
         first = float(np.clip(first + shift, initial.lower[0], initial.upper[0]))
@@ -140,19 +143,21 @@ def _draw_random_times(
     else:
         limits = (final.lower[0] - first, final.upper[0] - first)
     lower, upper = max(box.lower[0], limits[0], 0.0), min(box.upper[0], limits[1])
-    low, high = max(lower, span / spread), min(upper, span * spread)
-    duration = low * (high / low) ** share if low < high else max(lower, min(span, upper))
+    shortest, longest = max(lower, span / max_ratio), min(upper, span * max_ratio)
+    duration = (
+        shortest * (longest / shortest) ** share if shortest < longest else max(lower, min(span, upper))
+    )
     duration = duration if duration > 0 else span
     return np.array([last - duration, last] if final.is_fixed[0] else [first, first + duration])
 
 
 def _draw_random_states(
-    phase: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float
+    phase: Phase, linear: Array, magnitudes: Array, rng: np.random.Generator, min_amplitude: float
 ) -> Array:
     numbers = phase.numbers
-    low, high = max(least, AMPLITUDE_RANGE[0]), AMPLITUDE_RANGE[1]
-    amplitude = magnitudes * low * (high / low) ** rng.uniform()
-    states = line + amplitude[:, None] * _draw_smooth_signals(magnitudes.size, rng)
+    smallest, largest = max(min_amplitude, AMPLITUDE_RANGE[0]), AMPLITUDE_RANGE[1]
+    amplitude = magnitudes * smallest * (largest / smallest) ** rng.uniform()
+    states = linear + amplitude[:, None] * _draw_smooth_signals(magnitudes.size, rng)
     offsets = amplitude * rng.normal(size=(2, magnitudes.size))
     for end, offset, ramp in (
         (numbers.initial, offsets[0], 1 - FRACTIONS),
@@ -163,18 +168,20 @@ def _draw_random_states(
 
 
 def _draw_random_controls(
-    box: Interval, guess: Array, magnitudes: Array, rng: np.random.Generator, full: bool
+    box: Interval, guess: Array, magnitudes: Array, rng: np.random.Generator, bang_bang: bool
 ) -> Array:
     """Return bang-bang patterns of full amplitude, or such patterns or smooth waves of random amplitude."""
     bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
     middle = np.where(bounded[:, None], box.midpoint[:, None], guess)
-    reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
-    if full or rng.uniform() < 0.5:
-        pattern = np.stack([_draw_bang_bang_pattern(rng) for _ in range(reach.size)]) if reach.size else guess
+    radius = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
+    if bang_bang or rng.uniform() < 0.5:
+        pattern = (
+            np.stack([_draw_bang_bang_pattern(rng) for _ in range(radius.size)]) if radius.size else guess
+        )
     else:
-        pattern = _draw_smooth_signals(reach.size, rng)
-    level = 1.0 if full else rng.uniform(0.3, 1.0)
-    return _clip_values_to_bounds(middle + level * reach[:, None] * pattern, box)
+        pattern = _draw_smooth_signals(radius.size, rng)
+    level = 1.0 if bang_bang else rng.uniform(0.3, 1.0)
+    return _clip_values_to_bounds(middle + level * radius[:, None] * pattern, box)
 
 
 def _draw_bang_bang_pattern(rng: np.random.Generator) -> Array:
@@ -197,10 +204,10 @@ def _draw_random_parameters(problem: Problem, rng: np.random.Generator) -> Probl
     """Return the problem with random guesses of free parameters: within finite bounds, else about their guess."""
     guesses: dict[str, Array] = {}
     for name, box in problem.parameter_bounds.items():
-        old = problem.parameter_guess[name]
+        guess = problem.parameter_guess[name]
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
-        low, high = (np.where(bounded, end, 0.0) for end in (box.lower, box.upper))
-        about = old + np.maximum(np.abs(old), 1.0) * rng.normal(size=old.size)
-        drawn = np.where(bounded, rng.uniform(low, high), about)
+        lower, upper = (np.where(bounded, end, 0.0) for end in (box.lower, box.upper))
+        near_guess = guess + np.maximum(np.abs(guess), 1.0) * rng.normal(size=guess.size)
+        drawn = np.where(bounded, rng.uniform(lower, upper), near_guess)
         guesses[name] = np.clip(drawn, box.lower, box.upper)
     return problem.with_parameter_guess(**guesses)

@@ -42,12 +42,12 @@ from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import ind
 
 @dataclass(frozen=True, eq=False)
 class ControlKink:
-    """Kink along the control ``place``: ``base + factor max(u - corner, 0)``, the factor signed as a cost."""
+    """Kink along a control component u: ``base + factor max(u - corner, 0)``, the factor signed as a cost."""
 
     node: Any
     base: Any
     factor: Any
-    place: int
+    control: int
     corner: float
 
     @classmethod
@@ -59,7 +59,7 @@ class ControlKink:
             return None
         first, second = kink.pieces
         gap = second - first
-        for place, u in controls.items():
+        for control, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
                 corners = sample_expression_randomly(solve_affine_equation(gap, u))[0]
@@ -67,7 +67,7 @@ class ControlKink:
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
-                    return cls(kink.node, base, factor, place, corner + 0.0)
+                    return cls(kink.node, base, factor, control, corner + 0.0)
         return None
 
 
@@ -75,31 +75,32 @@ class ControlKink:
 class ControlKinks:
     """Kinks of integrals that control splitting removes, by integral; corners by the index of the control."""
 
-    at: dict[str, list[ControlKink]]
+    kinks: dict[str, list[ControlKink]]
     corners: dict[int, float]
 
     @classmethod
     def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> ControlKinks:
-        """Return the bends of controls with exactly one corner of a cost in every component."""
+        """Return the kinks along controls with exactly one corner in every component."""
         layout, symbols = phase.model.controls, ca.vertsplit(phase.model.symbols("control"))
         controls = {i: symbols[i] for i in index_control_symbols(phase).values()}
-        bends = dict[str, list[ControlKink]]()
+        by_integral = dict[str, list[ControlKink]]()
         for name, kinks in find_cost_kinks(problem, phase, domain).items():
-            found = (ControlKink.find_control_kink_of_extremum(kink, controls, domain) for kink in kinks)
-            bends[name] = [bend for bend in found if bend is not None]
+            candidates = (ControlKink.find_control_kink_of_extremum(kink, controls, domain) for kink in kinks)
+            by_integral[name] = [k for k in candidates if k is not None]
+        all_kinks = [k for kinks in by_integral.values() for k in kinks]
         corners: dict[int, float] = {}
         for v in layout.variables:
-            places = layout.indices(v.name)
-            own = [{b.corner for kinks in bends.values() for b in kinks if b.place == i} for i in places]
-            if all(len(at) == 1 for at in own):
-                corners |= {i: at.pop() for i, at in zip(places, own, strict=True)}
-        kept = {name: [b for b in own if b.place in corners] for name, own in bends.items()}
-        return cls({name: own for name, own in kept.items() if own}, corners)
+            rows = layout.indices(v.name)
+            corner_sets = [{k.corner for k in all_kinks if k.control == i} for i in rows]
+            if all(len(values) == 1 for values in corner_sets):
+                corners |= {i: values.pop() for i, values in zip(rows, corner_sets, strict=True)}
+        removable = {name: [k for k in kinks if k.control in corners] for name, kinks in by_integral.items()}
+        return cls({name: kinks for name, kinks in removable.items() if kinks}, corners)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
         """Key that is equal for equal forms."""
-        return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
+        return tuple((name, *(k.node.element_hash() for k in kinks)) for name, kinks in self.kinks.items())
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
@@ -114,39 +115,39 @@ class SplitControls(ReformulatedPhase):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def split_controls_at_kinks(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
+    def split_controls_at_kinks(cls, phase: Phase, control_kinks: ControlKinks) -> SplitControls:
         """Return the form of a phase in the parts of the split controls."""
-        old, layout = phase.model, phase.model.controls
+        old_model, layout = phase.model, phase.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()
-        instead, beyond = dict[int, Any](), dict[int, Any]()
+        values_by_hash, excess = dict[int, Any](), dict[int, Any]()
         for v in layout.variables:
-            places, symbol = layout.indices(v.name), old.symbol(v.name)
-            if places[0] not in bends.corners:
+            rows, symbol = layout.indices(v.name), old_model.symbol(v.name)
+            if rows[0] not in control_kinks.corners:
                 controls.append(symbol)
                 values.append(symbol)
                 continue
-            labels = (choose_unused_variable_name(old, f"{v.name}_{what}") for what in ("plus", "minus"))
+            labels = (choose_unused_variable_name(old_model, f"{v.name}_{end}") for end in ("plus", "minus"))
             plus, minus = (Symbol(replace(v, name=label)) for label in labels)
-            corners = tuple(bends.corners[i] for i in places)
+            corners = tuple(control_kinks.corners[i] for i in rows)
             parts = (plus.variable.name, minus.variable.name)
             split, difference = SplitControl(v, parts, corners if any(corners) else ()), plus - minus
             splits.append((split, difference + ca.DM(corners)))
             controls += [plus, minus]
             values += split.decompose_symbolic_control(symbol)
-            beyond |= dict(zip(places, ca.vertsplit(plus), strict=True))
+            excess |= dict(zip(rows, ca.vertsplit(plus), strict=True))
             pairs = zip(ca.vertsplit(symbol), ca.vertsplit(splits[-1][1]), strict=True)
-            instead |= {element.element_hash(): value for element, value in pairs}
+            values_by_hash |= {element.element_hash(): value for element, value in pairs}
 
         def replace_kinks(name: str, expression: Any) -> Any:
-            own = bends.at.get(name, ())
-            known = {b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in own}
-            return replace_subexpressions_by_hash(replace_subexpressions_by_hash(expression, known), instead)
+            kinks = control_kinks.kinks.get(name, ())
+            smooth = {k.node.element_hash(): k.base + k.factor * excess[k.control] for k in kinks}
+            return substitute_split_controls(replace_subexpressions_by_hash(expression, smooth))
 
         def substitute_split_controls(expression: Any) -> Any:
-            return replace_subexpressions_by_hash(expression, instead)
+            return replace_subexpressions_by_hash(expression, values_by_hash)
 
         model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_split_controls)
-        stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
+        replaced_symbols = ca.vertcat(*(old_model.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
         texts = []
         for control, _ in splits:
@@ -157,7 +158,7 @@ class SplitControls(ReformulatedPhase):
             model,
             paths,
             {name: (symbol, replace_kinks(name, e)) for name, (symbol, e) in phase.integrands.items()},
-            ControlMap(old, stated, solved, ca.vertcat(*values), tuple(texts)),
+            ControlMap(old_model, replaced_symbols, solved, ca.vertcat(*values), tuple(texts)),
             tuple(c for c, _ in splits),
         )
 
@@ -172,4 +173,4 @@ class SplitControls(ReformulatedPhase):
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
         controls = stack_named_bounds(boxes, self.model.controls)
-        self.reformulate_phase_functions(phase, replace(old, controls=controls, scales=scales))
+        self.apply_to_phase(phase, replace(old, controls=controls, scales=scales))

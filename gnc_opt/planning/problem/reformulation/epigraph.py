@@ -48,21 +48,23 @@ def find_cost_kinks(problem: ProblemData, phase: Phase, domain: SymbolRanges) ->
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
     _, x, u, _ = phase.model.symbolic_arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
-    ignored, found = frozenset[int]().union(*(use.subexpression_hashes for use in tables)), {}
-    wanted = find_minimised_or_maximised_integrals(problem, phase)
+    table_hashes = frozenset[int]().union(*(use.subexpression_hashes for use in tables))
+    by_integral = {}
+    senses = find_minimised_or_maximised_integrals(problem, phase)
     for name, (_, integrand) in phase.integrands.items():
-        nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
+        nodes = find_outermost_kinks(integrand, table_hashes, domain) if senses[name] else []
         nodes = [node for node in nodes if ca.depends_on(node, ca.vertcat(x, u))]
         if nodes:
-            found[name] = list(find_convex_kinks(integrand, nodes, wanted[name], domain))
-    return {name: kinks for name, kinks in found.items() if kinks}
+            by_integral[name] = list(find_convex_kinks(integrand, nodes, senses[name], domain))
+    return {name: kinks for name, kinks in by_integral.items() if kinks}
 
 
 def find_convex_kinks(scalar: Any, nodes: list[Any], sense: int, domain: SymbolRanges) -> Iterator[Extremum]:
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.compute_monotonicity_signs(scalar, nodes), strict=True):
-        own = sense * direction
-        kink = Extremum(node, own, (find_max_or_min_arguments(node, own, domain) if own else None) or [])
+        kink_sense = sense * direction
+        pieces = find_max_or_min_arguments(node, kink_sense, domain) if kink_sense else None
+        kink = Extremum(node, kink_sense, pieces or [])
         if len(kink.pieces) > 1 and not _is_kink_smoothed(scalar, kink):
             yield kink
 
@@ -79,8 +81,8 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
         at_corner = ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
-        slopes, here, *others = sample_expression_randomly(at_corner)
-        largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
+        slopes, first_values, *piece_values = sample_expression_randomly(at_corner)
+        largest = np.all(kink.sense * (first_values - np.array(piece_values)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
         if np.any(largest & (np.abs(slopes) > EQUAL)):
@@ -91,16 +93,16 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
 def find_minimised_or_maximised_integrals(problem: ProblemData, phase: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.collect_boundary_variable_ranges(problem)
-    terms = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
-    ends = problem.substitute_parameters(phase, terms)
+    functions = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
+    ends = problem.substitute_parameters(phase, functions)
     box = problem.get_boundary_constraint_bounds()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
     senses = {}
     for name, (symbol, _) in phase.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.find_expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
-        senses[name] = own.pop() if len(own) == 1 else 0
+        row_senses = {domain.find_expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        senses[name] = row_senses.pop() if len(row_senses) == 1 else 0
     return senses
 
 
@@ -120,35 +122,35 @@ def is_free_of_kinks(expression: Any) -> bool:
 
 def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: SymbolRanges) -> list[Any]:
     """Return the outermost kinks of a scalar expression, except nodes with these hashes."""
-    found: dict[int, Any] = {}
-    seen: set[int] = set()
-    waiting = [expression]
-    while waiting:
-        node = waiting.pop()
-        place = node.element_hash()
-        if place in seen or place in ignored:
+    kinks: dict[int, Any] = {}
+    visited: set[int] = set()
+    unvisited = [expression]
+    while unvisited:
+        node = unvisited.pop()
+        key = node.element_hash()
+        if key in visited or key in ignored:
             continue
-        seen.add(place)
+        visited.add(key)
         if _read_max_or_min_arguments(node, domain) is not None:
-            found[place] = node
+            kinks[key] = node
         else:
-            waiting += [node.dep(i) for i in range(node.n_dep())]
-    return list(found.values())
+            unvisited += [node.dep(i) for i in range(node.n_dep())]
+    return list(kinks.values())
 
 
 def find_max_or_min_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a scalar; None if there are none."""
-    waiting, found = [expression], dict[int, Any]()
-    while waiting:
-        node, *waiting = waiting
+    unsplit, smooth = [expression], dict[int, Any]()
+    while unsplit:
+        node, *unsplit = unsplit
         if is_free_of_kinks(node):
-            found[node.element_hash()] = node
+            smooth[node.element_hash()] = node
             continue
         alternatives = _split_kinks_into_smooth_expressions(node, sense, domain)
-        if alternatives is None or len(alternatives) + len(waiting) + len(found) > KINK_MAX_PIECES:
+        if alternatives is None or len(alternatives) + len(unsplit) + len(smooth) > KINK_MAX_PIECES:
             return None
-        waiting = alternatives + waiting
-    return list(found.values())
+        unsplit = alternatives + unsplit
+    return list(smooth.values())
 
 
 def _split_kinks_into_smooth_expressions(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
@@ -157,19 +159,19 @@ def _split_kinks_into_smooth_expressions(expression: Any, sense: int, domain: Sy
     A scalar that is affine and monotone in extrema is the extremum of its values at the arguments.
     """
     nodes = find_outermost_kinks(expression, frozenset(), domain)
-    places, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
+    hashes, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
     if not nodes:
         return None
-    of_z = replace_subexpressions_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True)))
+    of_z = replace_subexpressions_by_hash(expression, dict(zip(hashes, ca.vertsplit(z), strict=True)))
     if not is_affine(of_z, z):
         return None
     extrema = [_read_max_or_min_arguments(node, domain) for node in nodes]
     signs = [domain.find_expression_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
-    if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
+    if any(e is None or e[0] * sign != sense for e, sign in zip(extrema, signs, strict=True)):
         return None
-    choices = product(*(found[1] for found in extrema if found is not None))
-    alternatives = (dict(zip(places, chosen, strict=True)) for chosen in choices)
-    return [replace_subexpressions_by_hash(expression, instead) for instead in alternatives]
+    choices = product(*(e[1] for e in extrema if e is not None))
+    alternatives = (dict(zip(hashes, chosen, strict=True)) for chosen in choices)
+    return [replace_subexpressions_by_hash(expression, substitutes) for substitutes in alternatives]
 
 
 def _read_max_or_min_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
@@ -190,20 +192,20 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
         return None
-    condition, other = first.dep(0), second.dep(0)
-    opposed = other.op() == ca.OP_NOT and other.dep(0).element_hash() == condition.element_hash()
-    if not opposed or condition.op() not in (ca.OP_LT, ca.OP_LE):
+    condition, negated = first.dep(0), second.dep(0)
+    is_negation = negated.op() == ca.OP_NOT and negated.dep(0).element_hash() == condition.element_hash()
+    if not is_negation or condition.op() not in (ca.OP_LT, ca.OP_LE):
         return None
-    when, otherwise = first.dep(1), second.dep(1)
-    gap, rise = condition.dep(1) - condition.dep(0), when - otherwise
+    if_true, if_false = first.dep(1), second.dep(1)
+    gap, rise = condition.dep(1) - condition.dep(0), if_true - if_false
     for symbol in ca.symvar(gap):
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
-        across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = sample_expression_randomly(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.find_expression_sign(across) * domain.find_expression_sign(up)
-        if sense != 0 and np.all(np.abs(left) < EQUAL):
-            return sense, [when, otherwise]
+        gap_slope, rise_slope = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
+        rises = sample_expression_randomly(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
+        sense = domain.find_expression_sign(gap_slope) * domain.find_expression_sign(rise_slope)
+        if sense != 0 and np.all(np.abs(rises) < EQUAL):
+            return sense, [if_true, if_false]
     return None
 
 
@@ -231,23 +233,23 @@ class EndpointEpigraph:
     @classmethod
     def from_problem(cls, problem: ProblemData, domain: SymbolRanges) -> EndpointEpigraph:
         changed = smooth_constraints(problem.constraints, domain)
-        constraints, instead = {**problem.constraints, **changed}, {}
+        constraints, substitutes = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
-        taken = {*problem.parameters.names, *constraints}
-        taken |= {name for phase in problem.phases.values() for name in phase.model.parameters.names}
+        used_names = {*problem.parameters.names, *constraints}
+        used_names |= {name for phase in problem.phases.values() for name in phase.model.parameters.names}
         nodes = find_outermost_kinks(problem.cost, frozenset(), domain)
         for kink in find_convex_kinks(problem.cost, nodes, int(problem.sense), domain):
             name = f"epigraph_of_cost_{len(parameters) + 1}"
-            while name in taken:
+            while name in used_names:
                 name += "_"
             symbol = Symbol(Variable(name, 1, ""))
-            constraints[name], least = build_epigraph_rows(symbol, kink)
-            parameters[name] = (symbol, least)
-            instead[kink.node.element_hash()] = kink.sense * symbol
+            constraints[name], lower_bound = build_epigraph_rows(symbol, kink)
+            parameters[name] = (symbol, lower_bound)
+            substitutes[kink.node.element_hash()] = kink.sense * symbol
         cause = "a kink of the cost is replaced by parameter"
         texts = [f"{cause} {name}, bounded by its pieces" for name in parameters]
         texts += [f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()]
-        cost = replace_subexpressions_by_hash(problem.cost, instead)
+        cost = replace_subexpressions_by_hash(problem.cost, substitutes)
         return cls(cost, constraints, parameters, tuple(texts))
 
     @property
@@ -256,9 +258,9 @@ class EndpointEpigraph:
         return tuple((name, c.size) for name, c in self.constraints.items())
 
     def reformulate_endpoint_functions(self, problem: ProblemData) -> None:
-        for symbol, least in self.parameters.values():
-            box = Interval(np.array([least]), np.full(1, np.inf))
-            problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
+        for symbol, lower_bound in self.parameters.values():
+            box = Interval(np.array([lower_bound]), np.full(1, np.inf))
+            problem.add_parameter(symbol, box, np.array([max(lower_bound, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         next(iter(problem.phases.values())).describe_reformulation(*self.texts)
 
@@ -272,13 +274,12 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> KinkedTerms:
-        limits = smooth_constraints(phase.paths, domain)
-        return cls(find_cost_kinks(problem, phase, domain), limits)
+        return cls(find_cost_kinks(problem, phase, domain), smooth_constraints(phase.paths, domain))
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
         """Key that is equal for equal forms."""
-        costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
+        costs = ((name, *(k.node.element_hash() for k in kinks)) for name, kinks in self.costs.items())
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
@@ -301,10 +302,11 @@ def _smooth_constraint(constraint: Constraint, domain: SymbolRanges) -> Constrai
         ca.vertsplit(constraint.expression), constraint.interval.lower, constraint.interval.upper, strict=True
     ):
         sense = int(np.isfinite(upper)) - int(np.isfinite(lower))  # 0 with limits on both sides
-        own = find_max_or_min_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
-        changed |= own is not None
-        for e in own or [row]:
-            if own is None or not (e.is_constant() and lower <= float(e) <= upper):
+        is_kept = not sense or is_free_of_kinks(row)
+        pieces = None if is_kept else find_max_or_min_arguments(row, sense, domain)
+        changed |= pieces is not None
+        for e in pieces or [row]:
+            if pieces is None or not (e.is_constant() and lower <= float(e) <= upper):
                 rows.append((e, lower, upper))
     if not changed or not rows:
         return None
@@ -314,9 +316,9 @@ def _smooth_constraint(constraint: Constraint, domain: SymbolRanges) -> Constrai
 
 def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
     """Return the constraint that a symbol is above the pieces of a kink, and the largest constant piece."""
-    above = [kink.sense * e for e in kink.pieces]
-    rows = [symbol - e for e in above if not e.is_constant()]
-    constants = [float(e) for e in above if e.is_constant()]
+    pieces = [kink.sense * e for e in kink.pieces]
+    rows = [symbol - e for e in pieces if not e.is_constant()]
+    constants = [float(e) for e in pieces if e.is_constant()]
     limits = Interval(np.zeros(len(rows)), np.full(len(rows), np.inf))
     return Constraint(symbol.variable.name, ca.vertcat(*rows), limits), max(constants, default=-np.inf)
 
@@ -326,46 +328,46 @@ class Epigraph(ReformulatedPhase):
     """Form of a phase with controls in place of kinks, and the lower bounds of these controls by name."""
 
     kinks: dict[str, Extremum]
-    least: dict[str, float]
+    lower_bounds: dict[str, float]
 
     @classmethod
     def from_phase(cls, phase: Phase, kinked: KinkedTerms) -> Epigraph:
-        old = phase.model
+        model = phase.model
         symbols: dict[int, Symbol] = {}
-        kinks, least, texts = {}, {}, []
+        kinks, lower_bounds, texts = {}, {}, []
         integrands, paths = dict(phase.integrands), {**phase.paths, **kinked.limits}
-        for name, own in kinked.costs.items():
-            for kink in own:
-                place = kink.node.element_hash()
-                if place not in symbols:
+        for name, cost_kinks in kinked.costs.items():
+            for kink in cost_kinks:
+                key = kink.node.element_hash()
+                if key not in symbols:
                     label = f"epigraph_{len(symbols) + 1}".removesuffix("_1")
-                    label = choose_unused_variable_name(old, label)
-                    s = symbols[place] = Symbol(Variable(label, 1, ""))
+                    label = choose_unused_variable_name(model, label)
+                    s = symbols[key] = Symbol(Variable(label, 1, ""))
                     kinks[label] = kink
-                    paths[label], least[label] = build_epigraph_rows(s, kink)
+                    paths[label], lower_bounds[label] = build_epigraph_rows(s, kink)
                     texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
-            value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
+            value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in cost_kinks}
             symbol, integrand = integrands[name]
             integrands[name] = (symbol, replace_subexpressions_by_hash(integrand, value))
         texts += [f"'{n}' is replaced by {c.size} smooth limits" for n, c in kinked.limits.items()]
-        none = ca.SX(0, 1)
-        values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
-        controls = [*(old.symbol(name) for name in old.controls.names), *symbols.values()]
+        empty = ca.SX(0, 1)
+        values = [ca.fmax(kink.sense * kink.node, lower_bounds[label]) for label, kink in kinks.items()]
+        controls = [*(model.symbol(name) for name in model.controls.names), *symbols.values()]
         return cls(
-            old.express_in_other_controls(controls, [], lambda expression: expression),
+            model.express_in_other_controls(controls, [], lambda expression: expression),
             paths,
             integrands,
-            ControlMap(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
+            ControlMap(model, empty, empty, ca.vertcat(model.symbols("control"), *values), tuple(texts)),
             kinks,
-            least,
+            lower_bounds,
         )
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase) -> None:
-        stated, old = phase.clone(), phase.numbers
-        least = np.array([self.least[name] for name in self.kinks])
-        values = dict(old.guess.values)
+        original, numbers = phase.clone(), phase.numbers
+        lower = np.array([self.lower_bounds[name] for name in self.kinks])
+        values = dict(numbers.guess.values)
         for name, kink in self.kinks.items():
-            values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
-        controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
-        guess = PhaseGuess(old.guess.time, values)
-        self.reformulate_phase_functions(phase, replace(old, controls=controls, guess=guess))
+            values[name] = build_guess_of_expression(problem, original, kink.sense * kink.node)
+        controls = stack_intervals([numbers.controls, Interval(lower, np.full(lower.size, np.inf))])
+        guess = PhaseGuess(numbers.guess.time, values)
+        self.apply_to_phase(phase, replace(numbers, controls=controls, guess=guess))

@@ -37,21 +37,21 @@ def reformulate_problem(problem: P) -> P:
     Variations of a problem with other numbers have reformulations that are variations of one another.
     """
     problem = _reformulate_norms_and_kinks(problem)
-    found = {name: remove_redundant_control_bounds(problem, phase) for name, phase in problem.phases.items()}
-    if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
+    relaxed = {name: remove_redundant_control_bounds(problem, p) for name, p in problem.phases.items()}
+    if all(numbers is problem.phases[name].numbers for name, numbers in relaxed.items()):
         return problem
-    twin = problem.clone()
-    for name, numbers in found.items():
-        twin.phases[name].numbers = numbers
-    return twin
+    reformulated = problem.clone()
+    for name, numbers in relaxed.items():
+        reformulated.phases[name].numbers = numbers
+    return reformulated
 
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_kinks_in_endpoint_functions(problem)
     if not kinked_ends and all(phase.numbers.arcs is not None for phase in problem.phases.values()):
         return problem
-    twin, keys = problem.clone(), []
-    for phase in twin.phases.values():
+    reformulated, keys = problem.clone(), []
+    for phase in reformulated.phases.values():
         rootless = problem.memoize(("rootless", phase.name), partial(remove_square_roots_from_norms, phase))
         phase.paths |= rootless
         box = find_bounds_not_implied_by_norm(problem, phase)
@@ -69,12 +69,12 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
             ("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain)
         )
         if at_ends.texts:
-            at_ends.reformulate_endpoint_functions(twin)
+            at_ends.reformulate_endpoint_functions(reformulated)
             ends = at_ends.cache_key
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
-    twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
-    return twin
+    reformulated.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
+    return reformulated
 
 
 def _reformulate_nonsmooth_terms(
@@ -90,9 +90,9 @@ def _reformulate_nonsmooth_terms(
         return key
     domain = SymbolRanges.from_phase(problem, phase)
     place = (kind.__name__, *key, domain.cache_key)
-    terms = problem.memoize(place, lambda: kind.from_phase(problem, phase, domain))
-    if not terms.cache_key:
+    nonsmooth_terms = problem.memoize(place, lambda: kind.from_phase(problem, phase, domain))
+    if not nonsmooth_terms.cache_key:
         return key
-    key = (*key, *terms.cache_key)
-    terms.reformulate_phase(problem, phase, key)
+    key = (*key, *nonsmooth_terms.cache_key)
+    nonsmooth_terms.reformulate_phase(problem, phase, key)
     return key

@@ -25,12 +25,12 @@ def collect_variable_names(model: Model) -> frozenset[str]:
     return frozenset(name for layout in layouts for name in layout.names)
 
 
-def choose_unused_variable_name(model: Model, wanted: str) -> str:
+def choose_unused_variable_name(model: Model, name: str) -> str:
     """Return a name that the model does not contain."""
-    taken = collect_variable_names(model)
-    while wanted in taken:
-        wanted += "_"
-    return wanted
+    used_names = collect_variable_names(model)
+    while name in used_names:
+        name += "_"
+    return name
 
 
 def substitute_controls_in_phase(
@@ -38,14 +38,14 @@ def substitute_controls_in_phase(
     controls: Sequence[Symbol],
     composed: Sequence[tuple[ComposedControl, Any]],
     express: Callable[[Any], Any],
-    without: str = "",
+    excluded_path: str = "",
 ) -> tuple[Model, dict[str, Constraint], dict[str, tuple[Any, Any]]]:
-    """Return model, path constraints (except ``without``) and integrands of a phase in other controls.
+    """Return model, path constraints (except ``excluded_path``) and integrands of a phase in other controls.
 
     See `Model.express_in_other_controls`; limits of the lengths of directions are kept.
     """
     lengths = {v.direction_norm_constraint_name for v in phase.vector_controls}
-    paths = {name: c for name, c in phase.paths.items() if name != without}
+    paths = {name: c for name, c in phase.paths.items() if name != excluded_path}
     paths |= {n: replace(c, expression=express(c.expression)) for n, c in paths.items() if n not in lengths}
     integrands = {name: (symbol, express(e)) for name, (symbol, e) in phase.integrands.items()}
     return phase.model.express_in_other_controls(controls, composed, express), paths, integrands
@@ -60,26 +60,26 @@ class ReformulatedPhase:
     integrands: dict[str, tuple[Any, Any]]
     control_map: ControlMap
 
-    def reformulate_phase_functions(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
+    def apply_to_phase(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
         layout, values = phase.model.parameters, phase.model.parameter_values
-        known = {name: values[layout.slice(name)] for name in layout.names}
-        phase.model = self.model.with_parameters(**known)
+        parameters = {name: values[layout.slice(name)] for name in layout.names}
+        phase.model = self.model.with_parameters(**parameters)
         phase.numbers = numbers
         phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
         phase.control_map = self.control_map.compose_control_maps(phase.control_map)
 
 
-def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:
+def build_guess_of_expression(problem: ProblemData, original: Phase, column: Any) -> VectorizedGuess:
     """Return the values of a column along the guess of a phase as a function of times."""
-    function = build_function_along_phase(problem, stated, "guessed", column)
+    function = build_function_along_phase(problem, original, "guessed", column)
     q = problem.get_parameter_guess()
 
     def evaluate_expression_at_times(times: Array) -> Array:
-        first, last = guess_phase_times(stated)
-        start = build_phase_guess(stated, (times - first) / (last - first), perturbed=False)
-        p = stated.model.parameter_values
-        along = times[None], start.states, start.controls
-        return evaluate_casadi_batch(function, times.size, *along, p, q)
+        first, last = guess_phase_times(original)
+        start = build_phase_guess(original, (times - first) / (last - first), perturbed=False)
+        p = original.model.parameter_values
+        trajectory = times[None], start.states, start.controls
+        return evaluate_casadi_batch(function, times.size, *trajectory, p, q)
 
     return VectorizedGuess(evaluate_expression_at_times)
