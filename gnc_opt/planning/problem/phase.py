@@ -493,7 +493,7 @@ class Phase(StrictAttributes):
         return bool(smallest[0] > 0) or vector.name in self._nonaffine_vectors
 
     def record_vector_control(self, vector: VectorControl, *, unit_direction: bool | None) -> None:
-        """Record that functions use a vector control; ``unit_direction`` None: `has_unit_direction` follows from them."""
+        """Record that functions use a vector control; without ``unit_direction`` they decide `has_unit_direction`."""
         lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.state_derivative(), self.integrand_expression(), *constraints):

@@ -48,11 +48,10 @@ def find_cost_kinks(problem: ProblemData, phase: Phase, domain: SymbolRanges) ->
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
     _, x, u, _ = phase.model.symbolic_arguments()
     tables = list_table_calls(problem, problem.phases[phase.name])
-    table_hashes = frozenset[int]().union(*(use.subexpression_hashes for use in tables))
-    by_integral = {}
+    ignored, by_integral = frozenset[int]().union(*(use.subexpression_hashes for use in tables)), {}
     senses = find_minimised_or_maximised_integrals(problem, phase)
     for name, (_, integrand) in phase.integrands.items():
-        nodes = find_outermost_kinks(integrand, table_hashes, domain) if senses[name] else []
+        nodes = find_outermost_kinks(integrand, ignored, domain) if senses[name] else []
         nodes = [node for node in nodes if ca.depends_on(node, ca.vertcat(x, u))]
         if nodes:
             by_integral[name] = list(find_convex_kinks(integrand, nodes, senses[name], domain))

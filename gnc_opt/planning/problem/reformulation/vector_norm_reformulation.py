@@ -181,9 +181,9 @@ def _remove_square_root(row: Any, limits: Interval) -> Any | None:
 class NormSubstitution(ReformulatedPhase):
     """Form of a phase with a magnitude and a direction in place of a vector, the controls ``names``.
 
-    ``product`` is the vector as their product, ``limits`` those of the norm from the removed constraints. ``unit_direction``
-    is True if a vector shorter than the magnitude could violate a limit, False if it cannot, None if
-    `Phase.has_unit_direction` decides.
+    ``product`` is the vector as their product, ``limits`` those of the norm from the removed constraints.
+    ``unit_direction`` is True if a vector shorter than the magnitude could violate a limit, False if it cannot, None
+    if `Phase.has_unit_direction` decides.
     """
 
     names: Names
@@ -216,9 +216,8 @@ class NormSubstitution(ReformulatedPhase):
             rows = tuple(range(first, first + v.size))
             composed.append((AssembledControl(v, parts, rows), product[list(rows)]))
             first += v.size
-        paths, unit_direction = _reformulate_path_constraints(
-            norm_limits.other_paths, substitute_norm, magnitude
-        )
+        remaining = norm_limits.other_paths
+        paths, unit_direction = _reformulate_path_constraints(remaining, substitute_norm, magnitude)
         lengths = [v.direction_norm_constraint_name for v in phase.vector_controls]
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if norm_limits.control is None else magnitude
