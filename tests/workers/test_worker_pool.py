@@ -257,7 +257,7 @@ def test_items_that_kill_their_process_are_found_and_the_others_done(monkeypatch
 def test_no_more_items_are_tried_after_several_in_a_row_that_kill_their_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("gnc_opt.workers.worker_pool.MOST_CRASHES", 2)
+    monkeypatch.setattr("gnc_opt.workers.worker_pool.MAX_CRASHES", 2)
     with workers(value={0, 1, 2, 3}) as force:
         done = force.map(survive, [range(k, k + 1) for k in range(4)], ignore, halves)
     untried = "not tried, since the 2 previous items killed their process"

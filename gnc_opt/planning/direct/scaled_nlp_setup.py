@@ -132,7 +132,7 @@ class ScaledNlp:
         iterate = replace(iterate, x=np.where(bounds.is_fixed, bounds.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = build_phase_solutions(transcription, problem, iterate)
-        places, parts = transcription.parameter_places, transcription.parts
+        places, parts = transcription.parameter_indices, transcription.parts
         return Solution(
             problem_name=problem.name,
             status=result.status,

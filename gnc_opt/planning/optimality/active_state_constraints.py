@@ -133,8 +133,8 @@ class StateConstraints:
         gradients = by_state * s.state_scale[:, None]
         jumps = (s.phase.lam(times, "left") - s.phase.lam(times, "right")) * s.state_scale[:, None]
         sizes = np.linalg.norm(gradients, axis=1)
-        along = np.einsum("ijk,jk->ik", gradients, jumps)
-        return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
+        projections = np.einsum("ijk,jk->ik", gradients, jumps)
+        return np.asarray(np.divide(projections, sizes, out=np.zeros_like(sizes), where=sizes > 0))
 
     def evaluate_time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
@@ -172,10 +172,10 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
     return bases
 
 
-def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
+def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return which free controls have a direction without curvature of H (m, n_samples), and where all directions do.
 
-    Arguments as in `compute_free_control_directions`; curvatures up to ``flat`` count as zero. Without active
+    Arguments as in `compute_free_control_directions`; curvatures up to ``threshold`` count as zero. Without active
     constraints the curvature is not evaluated.
     """
     if not _evaluate_constraint_control_gradients(s).size:
@@ -184,7 +184,7 @@ def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float
     is_unconstrained = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     for j in np.flatnonzero(~is_unconstrained):
-        bases[j] = _select_zero_curvature_directions(bases[j], hessian[:, :, j], flat)
+        bases[j] = _select_zero_curvature_directions(bases[j], hessian[:, :, j], threshold)
     return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), is_unconstrained
 
 
@@ -349,15 +349,15 @@ def _find_limit_exchanges(constraints: StateConstraints) -> tuple[Junction, ...]
     s, phase = constraints.samples, constraints.samples.phase
     orders = [constraints.get_constraint_order(i) for i in range(len(phase.path_labels))]
     controls = [order.controls if order.order == 0 else () for order in orders]
-    paths = [row for row, single in enumerate(controls) if len(single) == 1]
+    paths = [row for row, row_controls in enumerate(controls) if len(row_controls) == 1]
     if not paths:
         return ()
     at_path = constraints.is_near_limits(constraints.evaluate_constraints(s.times, s.x, s.u))
     at_bound = np.any(s.is_at_control_bounds, axis=0)
     exchanges: dict[int, Junction] = {}
     for row in paths:
-        others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and controls[i] == controls[row]]
-        limits = [at_bound[controls[row][0]], *others]
+        other = [np.any(at_path[:, i], axis=0) for i in paths if i != row and controls[i] == controls[row]]
+        limits = [at_bound[controls[row][0]], *other]
         for kind, at_limit in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in phase.mesh.movable:
                 if side := _find_side_of_other_limit(s, at_limit, limits, k):
@@ -365,13 +365,13 @@ def _find_limit_exchanges(constraints: StateConstraints) -> tuple[Junction, ...]
     return tuple(exchanges.values())
 
 
-def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _find_side_of_other_limit(s: PhaseSamples, at_limit: Mask, others: list[Mask], boundary: int) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
         touch = np.flatnonzero(off)[-1 if side < 0 else 0]
-        leaves = np.all(near[on]) and not np.all(near[off])
-        if near[touch] and leaves and any(np.all(other[off]) for other in others):
+        leaves = np.all(at_limit[on]) and not np.all(at_limit[off])
+        if at_limit[touch] and leaves and any(np.all(limit[off]) for limit in others):
             return side
     return 0
 
@@ -450,7 +450,7 @@ class TransversalityResidual:
 
 def explain_transversality_residual(s: PhaseSamples, end: int, ends: EndGradients) -> TransversalityResidual:
     """Explain the costate gap at the start (``end`` = 0) or end (-1) of a phase by active constraints and limits."""
-    phase, name, pure, n = s.phase, s.phase.name, s.pure_state_constraints, s.phase.states.size
+    phase, name, state_rows, n = s.phase, s.phase.name, s.pure_state_constraints, s.phase.states.size
     end_bounds = phase.final_bounds if end else phase.initial_bounds
     limits = intersect_bounds(end_bounds, phase.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if end else -(s.lam[:, 0] + ends.initial_state[name])
@@ -459,11 +459,11 @@ def explain_transversality_residual(s: PhaseSamples, end: int, ends: EndGradient
     directions, sizes = constraints.directions[:, active, 0], np.zeros(active.size)
     if active.size and np.all(np.isfinite(gap)):
         sizes = scipy.optimize.nnls(directions * s.state_scale[:, None], gap * s.state_scale)[0]
-    path_multipliers = np.where(active % (n + pure.size) >= n, sizes, 0.0)
+    path_multipliers = np.where(active % (n + state_rows.size) >= n, sizes, 0.0)
     all_multipliers, multipliers = np.zeros(constraints.active.shape[0]), np.zeros(len(phase.path_labels))
     all_multipliers[active] = path_multipliers
     upper, lower = np.split(all_multipliers, 2)
-    multipliers[pure] = (upper - lower)[n:]
+    multipliers[state_rows] = (upper - lower)[n:]
     drift = float(constraints.drifts[active, 0] @ path_multipliers)
     return TransversalityResidual(gap, multipliers, directions @ path_multipliers, drift, limits)
 

@@ -190,7 +190,7 @@ class _StepFunctions:
             return ca.vertcat(rates(*arguments), integrands(*arguments), 1, np.zeros(n_q))
 
         rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_state_rate(state))])
-        places: list[Any] = []
+        stage_states: list[Any] = []
         slopes: list[Any] = []
 
         def advance_state_by_runge_kutta_stages(shares: Array) -> Any:
@@ -199,16 +199,16 @@ class _StepFunctions:
 
         stage_weights, step_weights = _get_butcher_tableau()
         for shares in stage_weights:
-            places.append(advance_state_by_runge_kutta_stages(shares))
-            slopes.append(rate(places[-1], inputs))
-        after = advance_state_by_runge_kutta_stages(step_weights)
+            stage_states.append(advance_state_by_runge_kutta_stages(shares))
+            slopes.append(rate(stage_states[-1], inputs))
+        next_state = advance_state_by_runge_kutta_stages(step_weights)
         cost_gradient = ca.SX.sym("cost_gradient", state.shape[0] + 1)
-        before = ca.jtimes(after, ca.vertcat(state, width), cost_gradient[:-1], True)
+        adjoint = ca.jtimes(next_state, ca.vertcat(state, width), cost_gradient[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
         step_arguments, weighted_arguments = [state, inputs], [state, inputs, weights]
-        self.step = ca.Function("step", step_arguments, [ca.densify(after)])
-        self.back = ca.Function("back", [cost_gradient, ca.vertcat(state, inputs)], [ca.densify(before)])
-        self.stages = ca.Function("stages", step_arguments, [ca.densify(ca.vertcat(*places, *slopes))])
+        self.step = ca.Function("step", step_arguments, [ca.densify(next_state)])
+        self.back = ca.Function("back", [cost_gradient, ca.vertcat(state, inputs)], [ca.densify(adjoint)])
+        self.stages = ca.Function("stages", step_arguments, [ca.densify(ca.vertcat(*stage_states, *slopes))])
         self.jacobian = ca.Function("rate_jacobian", step_arguments, [ca.jacobian(slopes[0], state).T])
         self.hessian = ca.Function("rate_hessian", weighted_arguments, [hessian])
 
@@ -226,28 +226,28 @@ class _StepDerivatives:
         (n, n_steps), n_stages = states.shape, len(step_weights)
         h = inputs[0][:, None, None]
         stages = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
-        places = stages[0].transpose(1, 0, 2).reshape(n, -1)
+        stage_states = stages[0].transpose(1, 0, 2).reshape(n, -1)
         slopes = stages[1].transpose(0, 2, 1)
         count, repeated = n_stages * n_steps, np.tile(inputs, n_stages)
-        slope_jacobians = evaluate_casadi_batch(rates.jacobian, count, places, repeated).T
+        slope_jacobians = evaluate_casadi_batch(rates.jacobian, count, stage_states, repeated).T
         slope_jacobians = slope_jacobians.reshape(n_stages, n_steps, n, n)
-        d_places, d_slopes = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
+        d_states, d_slopes = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
-        def sum_runge_kutta_stage_jacobians(shares: Array, into: Array) -> Array:
+        def sum_runge_kutta_stage_jacobians(shares: Array, total: Array) -> Array:
             """Return the derivatives of z + h * sum of share * k_i over the first stages."""
             used = np.flatnonzero(shares)
-            into[:, :, :n] = np.eye(n)
-            into += h * np.tensordot(shares[used], d_slopes[used], 1)
-            into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
-            return into
+            total[:, :, :n] = np.eye(n)
+            total += h * np.tensordot(shares[used], d_slopes[used], 1)
+            total[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
+            return total
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, shares in enumerate(stage_weights):
-                by_stage = sum_runge_kutta_stage_jacobians(shares, d_places[i])
+                by_stage = sum_runge_kutta_stage_jacobians(shares, d_states[i])
                 np.matmul(slope_jacobians[i], by_stage, out=d_slopes[i])
             self.jacobians = sum_runge_kutta_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
-        self._rates, self._inputs, self._places = rates, inputs, places
-        self._moved, self._change, self._slope_jacobians = d_places, d_slopes, slope_jacobians
+        self._rates, self._inputs, self._stage_states = rates, inputs, stage_states
+        self._d_states, self._d_slopes, self._slope_jacobians = d_states, d_slopes, slope_jacobians
 
     def compute_integration_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
@@ -258,15 +258,15 @@ class _StepDerivatives:
         # stages.
         cost_gradient = np.multiply.outer(step_weights, adjoints.T)
         for i in reversed(range(n_stages)):
-            by_place = ((h[:, None] * cost_gradient[i])[:, None] @ self._slope_jacobians[i])[:, 0]
+            by_state = ((h[:, None] * cost_gradient[i])[:, None] @ self._slope_jacobians[i])[:, 0]
             for j in np.flatnonzero(stage_weights[i]):
-                cost_gradient[j] += stage_weights[i, j] * by_place
+                cost_gradient[j] += stage_weights[i, j] * by_state
         weights = (h[:, None] * cost_gradient).transpose(2, 0, 1).reshape(n, -1)
-        arguments = self._places, np.tile(self._inputs, n_stages), weights
+        arguments = self._stage_states, np.tile(self._inputs, n_stages), weights
         rate_hessians = evaluate_casadi_batch(self._rates.hessian, n_stages * n_steps, *arguments).T
         rate_hessians = rate_hessians.reshape(n_stages, n_steps, n, n)
-        total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (rate_hessians @ self._moved), axis=0)
-        mixed = np.sum(cost_gradient[:, :, None] @ self._change, axis=0)[:, 0]
+        total = np.sum(self._d_states.transpose(0, 1, 3, 2) @ (rate_hessians @ self._d_states), axis=0)
+        mixed = np.sum(cost_gradient[:, :, None] @ self._d_slopes, axis=0)[:, 0]
         total[:, -1] += mixed
         total[:, :, -1] += mixed
         return np.asarray(total)

@@ -52,16 +52,16 @@ class Ellipsoid:
     reached: Mask | np.bool_ = np.True_
 
     @classmethod
-    def from_gramian(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
-        """Return the ellipsoid of a Gramian (n, n), with eigenvalues of at least ``least`` and given radii (n,)."""
+    def from_gramian(cls, gramian: Array, radius: Array, smallest: float = ROUNDING) -> Ellipsoid:
+        """Return the ellipsoid of a Gramian (n, n), with eigenvalues of at least ``smallest`` and given radii (n,)."""
         sizes = np.sqrt(np.maximum(np.diag(gramian), 0.0))
-        reached = sizes > 0
-        scale = np.where(reached, sizes, 1.0)
+        is_nonzero = sizes > 0
+        scale = np.where(is_nonzero, sizes, 1.0)
         correlation = gramian / scale / scale[:, None]
-        correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
+        correlation[~is_nonzero], correlation[:, ~is_nonzero] = 0.0, 0.0
         correlation[np.diag_indices_from(correlation)] = 1.0
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-        return cls(radius, axes, np.sqrt(np.clip(values, least, None)), reached)
+        return cls(radius, axes, np.sqrt(np.clip(values, smallest, None)), is_nonzero)
 
     def normalise_displacement(self, shift: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
@@ -142,9 +142,9 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     total, mean, duration = start.copy(), np.zeros_like(start), float(phase.breaks[-1] - phase.breaks[0])
     with_parameters = total
     for k, width in enumerate(widths):
-        push = half[k] @ by_control[k]
+        effect = half[k] @ by_control[k]
         step = half[k] @ half[k]
-        next_total = step @ total @ step.T + (push * strength[:, k]) @ push.T
+        next_total = step @ total @ step.T + (effect * strength[:, k]) @ effect.T
         if columns is not None:
             responses = step @ responses + width * half[k] @ columns[k]
         if not np.all(np.isfinite(next_total)):

@@ -331,8 +331,8 @@ class NullSpace:
 def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:
     """Return the curvature along a direction, absolute and relative to the sum of its terms."""
     value = float(direction @ (hessian @ direction))
-    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
-    return value, value / max(terms, TINY)
+    magnitude = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
+    return value, value / max(magnitude, TINY)
 
 
 def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:

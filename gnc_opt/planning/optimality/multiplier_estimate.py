@@ -44,29 +44,29 @@ def _find_jump_candidates(
     fitted: Mapping[str, FittedPhase],
     q: Array,
     scales: Array,
-    near: float,
+    share: float,
 ) -> tuple[Any, Array, _ActiveSet]:
     """Return the pure state path constraints that may have atoms at segment boundaries, along a trajectory.
 
     They are gradients in the program's variables, sparse (n_variables, n_atoms), variations of the constraints, and
     active limits; ``scales`` (n_variables,) are variations of the variables.
     """
-    none = np.zeros(0, dtype=bool)
-    candidates = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), none, none)]
+    no_rows = np.zeros(0, dtype=bool)
+    candidates = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), no_rows, no_rows)]
     for name, part in transcription.parts.items():
         functions, phase, fit = (bind_parameters(problem, name, q), problem.phases[name], fitted[name])
         orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
-        pure = np.flatnonzero([order != 0 for order in orders])
+        state_rows = np.flatnonzero([order != 0 for order in orders])
         times = fit.x.breaks
         # A shared value belongs to the segment that starts there; the last one to the last segment.
         x, u = fit.x(times), fit.u(times)
         variables, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
-        gradients = gradients[:, pure]
+        gradients = gradients[:, state_rows]
         sizes = np.sum(np.abs(gradients) * scales[variables][:, None], axis=0)
-        values, limits = functions.path_constraints(times, x, u)[pure], phase.get_path_bounds()
-        at_lower = values <= limits.lower[pure, None] + near * sizes
-        at_upper = values >= limits.upper[pure, None] - near * sizes
-        touched_only = np.array([orders[i] == 1 for i in pure])
+        values, limits = functions.path_constraints(times, x, u)[state_rows], phase.get_path_bounds()
+        at_lower = values <= limits.lower[state_rows, None] + share * sizes
+        at_upper = values >= limits.upper[state_rows, None] - share * sizes
+        touched_only = np.array([orders[i] == 1 for i in state_rows])
         possible = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
         constraint, k = np.nonzero(possible)
         entries = variables[:, k].ravel(), np.tile(np.arange(constraint.size), variables.shape[0])
@@ -92,7 +92,7 @@ def differentiate_path_constraints(
     collocation, n = part.collocation, trajectory[0].size
     by_time, by_state, by_parameter = functions.path_gradients(*trajectory)
     is_free = part.times < transcription.n_variables
-    common_variables = np.concatenate([part.times[is_free], transcription.parameter_places])
+    common_variables = np.concatenate([part.times[is_free], transcription.parameter_indices])
     by_anchor = _differentiate_break_times(collocation.mesh)[is_free]
     return (
         np.vstack([collocation.boundary_states, np.repeat(common_variables[:, None], n, axis=1)]),
@@ -129,11 +129,11 @@ def estimate_multipliers(
     problem: Problem,
     fitted: Mapping[str, FittedPhase],
     q: Array,
-    near: float = ACTIVE,
+    share: float = ACTIVE,
 ) -> NlpIterate:
     """Return the program's variables at a trajectory, and the multipliers that explain it best.
 
-    ``q`` are the free parameters; a limit may be active up to a distance of ``near``, relative to the scale.
+    ``q`` are the free parameters; a limit may be active up to a distance of ``share``, relative to the scale.
     """
     x = _sample_trajectory_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_scales(transcription, problem, fitted, x)
@@ -148,11 +148,11 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _ActiveSet.determine_active_set(transcription.get_variable_bounds(problem), x, near * scales)
+    limits = _ActiveSet.determine_active_set(transcription.get_variable_bounds(problem), x, share * scales)
     row_limits = _ActiveSet.determine_active_set(
-        transcription.get_constraint_bounds(problem), values, near / row_scales
+        transcription.get_constraint_bounds(problem), values, share / row_scales
     )
-    gradients, sizes, at_limits = _find_jump_candidates(transcription, problem, fitted, q, scales, near)
+    gradients, sizes, at_limits = _find_jump_candidates(transcription, problem, fitted, q, scales, share)
     jumps = scipy.sparse.diags_array(weights) @ gradients
     jumps = jumps @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
@@ -324,7 +324,7 @@ def _sample_trajectory_variables(
         x[collocation.point_states], x[collocation.point_controls] = phase.x(points), phase.u(points)
         free_times = part.times < transcription.n_variables
         x[part.times[free_times]] = breaks[list(collocation.mesh.arc_breaks)][free_times]
-    x[transcription.parameter_places] = q
+    x[transcription.parameter_indices] = q
     return set_integral_variables_by_quadrature(transcription, problem, x)
 
 

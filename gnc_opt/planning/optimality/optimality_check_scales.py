@@ -369,17 +369,17 @@ class EndPoints:
                 moves += self._list_end_displacements_along_trajectory(k, s)
         steps, splits = share * np.hstack(moves), np.cumsum([v.size for v in self.values])[:-1]
         first, second = (v[:-1] for v in self._compute_endpoint_finite_differences(steps))
-        states = [at for at in range(len(self.values) - 1) if at % 6 < 2]
-        rows = np.vstack([first, *(np.split(steps, splits)[at] for at in states)])
-        sizes = np.abs(np.concatenate([self.values[at] for at in states]))
+        states = [index for index in range(len(self.values) - 1) if index % 6 < 2]
+        rows = np.vstack([first, *(np.split(steps, splits)[index] for index in states)])
+        sizes = np.abs(np.concatenate([self.values[index] for index in states]))
         changes = np.diag(SECOND_DIFFERENCE_STEP_SHARE * np.concatenate(self.values))
         term_sizes = np.abs(self._compute_endpoint_finite_differences(changes)[0][:-1])
-        terms = np.sum(term_sizes, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
-        terms = np.append(np.fmax(np.abs(self.gradients.constraints), terms), sizes)
+        term_magnitudes = np.sum(term_sizes, axis=1) / SECOND_DIFFERENCE_STEP_SHARE
+        term_magnitudes = np.append(np.fmax(np.abs(self.gradients.constraints), term_magnitudes), sizes)
         starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name].start.radius for s in self.samples]
         fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
         curvature = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
-        return rows @ rows.T + np.diag((share * fixed) ** 2), curvature, terms
+        return rows @ rows.T + np.diag((share * fixed) ** 2), curvature, term_magnitudes
 
     @property
     def _constraint_and_cost_weights(self) -> Array:

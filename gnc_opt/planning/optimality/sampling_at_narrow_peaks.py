@@ -49,10 +49,10 @@ def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> A
     times = s.times[np.append(True, np.diff(s.times) > 0)]
     signs = np.sign(evaluate_threshold_distances(times))
     rows, intervals = np.nonzero(np.abs(np.diff(signs)) == 2)
-    touched = times[np.nonzero(signs == 0)[1]]
+    zeros = times[np.nonzero(signs == 0)[1]]
     rows, intervals = rows[:MAX_CENTRES], intervals[:MAX_CENTRES]
     crossings = find_zero_times(evaluate_threshold_distances, rows, times[intervals], times[intervals + 1])
-    centre_times = np.concatenate([crossings, touched[:MAX_CENTRES]])[:MAX_CENTRES]
+    centre_times = np.concatenate([crossings, zeros[:MAX_CENTRES]])[:MAX_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, N_DISTANCES)
     edges = np.unique(centre_times[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.phase.breaks[0]) & (edges < s.phase.breaks[-1])])

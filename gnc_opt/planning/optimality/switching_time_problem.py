@@ -68,13 +68,13 @@ class Switches:
         bounds, after_start = phase.control_bounds, phase.applied(phase.breaks[0])
         at_upper = after_start - bounds.lower > bounds.upper - after_start
         first = np.where(at_upper, bounds.upper, bounds.lower)
-        toggled = bounds.lower + bounds.upper
-        first[at_start] = toggled[at_start] - first[at_start]
+        bound_sums = bounds.lower + bounds.upper
+        first[at_start] = bound_sums[at_start] - first[at_start]
         labels = tuple(
             f"switch of {phase.controls.labels[i]} at {s.describe_times(t)}"
             for i, t in zip(channels, times, strict=True)
         )
-        return cls(times, channels, first, ends, toggled, labels)
+        return cls(times, channels, first, ends, bound_sums, labels)
 
     @property
     def simultaneous_switch_groups(self) -> list[list[int]]:
@@ -105,9 +105,9 @@ class Switches:
         for k in order:
             controls.append(controls[-1].copy())
             controls[-1][self.channels[k]] = self.toggled[self.channels[k]] - controls[-1][self.channels[k]]
-        places = [0, *(1 + k for k in order), self.times.size + 1]
+        boundaries = [0, *(1 + k for k in order), self.times.size + 1]
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
-        return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
+        return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(boundaries))
 
     def build_switch_sequence_constraints(self, order: tuple[int, ...]) -> Array:
         """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
@@ -163,14 +163,14 @@ class SwitchUnknowns:
     """Unknowns of the switching-time problem, with the ``scale`` of each (n,).
 
     ``cost_changes`` (n,) are those for a change by the scale: the largest switching function, H or costate times it.
-    By phase, ``places`` are the indices of the unknowns of its flow (start, switches, end, free initial values, free
+    By phase, ``columns`` are the indices of the unknowns of its flow (start, switches, end, free initial values, free
     parameters), and ``free_start`` the rows of the free initial values. Fixed times and parameters are not ``free``.
     """
 
     labels: tuple[str, ...]
     scale: Array
     cost_changes: Array
-    places: Mapping[str, Indices]
+    columns: Mapping[str, Indices]
     free_start: Mapping[str, Indices]
     free: Mask
 
@@ -188,7 +188,7 @@ class SwitchUnknowns:
             phase, first_column = s.phase, len(labels)
             free_rows[phase.name] = np.flatnonzero(~phase.initial_bounds.is_fixed)
             times = ("initial time", *switches[phase.name].labels, "final time")
-            labels += [f"phase {phase.name}, {what}" for what in times]
+            labels += [f"phase {phase.name}, {time}" for time in times]
             labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in free_rows[phase.name]]
             rows, start_scale = free_rows[phase.name], compute_state_ranges(s)[free_rows[phase.name]]
             is_constant = start_scale > s.state_scale[rows]
@@ -208,9 +208,9 @@ class SwitchUnknowns:
         scale += list(compute_parameter_scales(solution))
         free += list(~problem.get_parameter_bounds().is_fixed)
         cost_changes += [max(s.cost_scale for s in samples)] * common.size
-        places = {name: np.concatenate([columns, common]) for name, columns in columns_by_phase.items()}
+        columns = {name: np.concatenate([c, common]) for name, c in columns_by_phase.items()}
         sizes = np.asarray(scale), np.asarray(cost_changes)
-        return cls(tuple(labels), *sizes, places, free_rows, np.asarray(free, dtype=bool))
+        return cls(tuple(labels), *sizes, columns, free_rows, np.asarray(free, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ class SwitchingTimeProblem:
             adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
-            indices, term = self.unknowns.places[s.phase.name], np.zeros_like(terms[0])
+            indices, term = self.unknowns.columns[s.phase.name], np.zeros_like(terms[0])
             scale = self.unknowns.scale[indices]
             term[np.ix_(indices, indices)] = flow.compute_adjoint_hessian(adjoint) * np.outer(scale, scale)
             terms.append(term)
@@ -330,10 +330,10 @@ def _differentiate_boundary_states(
 ) -> Array:
     rows = []
     for s in samples:
-        flow, places = flows[s.phase.name], unknowns.places[s.phase.name]
+        flow, columns = flows[s.phase.name], unknowns.columns[s.phase.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_state_sensitivity):
             block = np.zeros((_count_augmented_states(s), unknowns.scale.size))
-            block[:, places] = sensitivity[: _count_augmented_states(s)] * unknowns.scale[places]
+            block[:, columns] = sensitivity[: _count_augmented_states(s)] * unknowns.scale[columns]
             rows.append(block)
     parameters = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
     rows.append(np.diag(unknowns.scale)[parameters])
@@ -350,26 +350,26 @@ def _collect_boundary_conditions(
 ) -> EndConditions:
     problem = solution.need_problem("verify")
     of_states: list[EndConditions] = []
-    others: list[EndConditions] = []
+    limits: list[EndConditions] = []
     row = 0
     for s in samples:
         phase, name, size, n = s.phase, s.phase.name, _count_augmented_states(s), s.phase.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
-        limits = intersect_bounds(phase.final_bounds, phase.state_bounds)
-        of_states.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
-        rows, limits = unknowns.free_start[name], intersect_bounds(phase.initial_bounds, phase.state_bounds)
+        bounds = intersect_bounds(phase.final_bounds, phase.state_bounds)
+        of_states.append(EndConditions(s.x[:, -1], bounds, end[:n], s.lam[:, -1] - ends.final_state[name]))
+        rows, bounds = unknowns.free_start[name], intersect_bounds(phase.initial_bounds, phase.state_bounds)
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(EndConditions(s.x[rows, 0], limits.select_components(rows), start[rows], multipliers))
+        limits.append(EndConditions(s.x[rows, 0], bounds.select_components(rows), start[rows], multipliers))
         times = np.array([phase.initial_time, phase.final_time, phase.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = [phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds]
-        others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
+        limits.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
-    limits, multipliers = problem.get_boundary_constraint_bounds(), solution.constraint_multipliers
-    of_states.append(EndConditions(ends.constraints, limits, of_constraints, multipliers))
+    bounds, multipliers = problem.get_boundary_constraint_bounds(), solution.constraint_multipliers
+    of_states.append(EndConditions(ends.constraints, bounds, of_constraints, multipliers))
     q = solution.parameter_values
-    others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
-    all_conditions = [*of_states, *others]
+    limits.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
+    all_conditions = [*of_states, *limits]
     return EndConditions(
         np.concatenate([rows.values for rows in all_conditions]),
         stack_intervals([rows.limits for rows in all_conditions]),

@@ -92,20 +92,20 @@ def _subdivide_polynomials(polynomial: PiecewisePolynomial, breaks: Array, parts
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
 
-def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates, least: ArrayLike = 0.0) -> FittedPhase:
+def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates, noise: ArrayLike = 0.0) -> FittedPhase:
     """Return polynomials through samples with at least two different times; ``rates`` maps (times, x, u) to dx/dt.
 
-    Smaller changes of the controls than ``least`` (n_controls,) are neither jumps nor kinks, but rounding errors.
+    Smaller changes of the controls than ``noise`` (n_controls,) are neither jumps nor kinks, but rounding errors.
     """
     repeated, n_controls = np.flatnonzero(np.diff(samples.t) == 0), samples.u.shape[0]
-    floors = np.broadcast_to(least, n_controls)
-    visible = np.fmax(SMALL * np.ptp(samples.u, axis=1), floors)
+    floors = np.broadcast_to(noise, n_controls)
+    thresholds = np.fmax(SMALL * np.ptp(samples.u, axis=1), floors)
     jump_sizes = np.abs(samples.u[:, repeated + 1] - samples.u[:, repeated])
     jumps = [
         _Jump(int(i), float(samples.t[i]), tuple(range(n_controls)), of_slope=not is_jump)
-        for i, is_jump in zip(repeated, np.any(jump_sizes > visible[:, None], axis=0), strict=True)
+        for i, is_jump in zip(repeated, np.any(jump_sizes > thresholds[:, None], axis=0), strict=True)
     ]
-    unmarked = _find_control_jumps_between_samples(samples, visible)
+    unmarked = _find_control_jumps_between_samples(samples, thresholds)
     jumps += unmarked
     for c, values in enumerate(samples.u):
         edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
@@ -129,26 +129,26 @@ class _Jump:
     of_slope: bool = False
 
 
-def _find_control_jumps_between_samples(samples: SampledPhase, visible: Array) -> list[_Jump]:
+def _find_control_jumps_between_samples(samples: SampledPhase, thresholds: Array) -> list[_Jump]:
     t, steps = samples.t, np.flatnonzero(np.diff(samples.t) > 0)
     if t.size <= 3:  # too few samples
         return []
     change = np.abs(np.diff(samples.u, axis=1))[:, steps]
     padded = np.pad(change, ((0, 0), (1, 1)))
     neighbours = np.maximum(padded[:, :-2], padded[:, 2:])
-    channels, k = np.nonzero((change > visible[:, None]) & (change > JUMP_MIN_RATIO * neighbours))
+    channels, k = np.nonzero((change > thresholds[:, None]) & (change > JUMP_MIN_RATIO * neighbours))
     middles = compute_interval_midpoints(t)
     return [_Jump(int(i), float(middles[i]), (int(c),)) for c, i in zip(channels, steps[k], strict=True)]
 
 
-def _find_control_kinks(t: Array, u: Array, first: int, channel: int, least: float) -> list[_Jump]:
+def _find_control_kinks(t: Array, u: Array, first: int, channel: int, min_jump: float) -> list[_Jump]:
     """Return the kinks of a control between two jumps: isolated intervals across which its slope changes."""
     if t.size < _KINK_MIN_SAMPLES:
         return []
     slopes = np.diff(u) / np.diff(t)
     jump, changes = np.abs(slopes[4:-1] - slopes[2:-3]), np.abs(np.diff(slopes))
-    visible = jump * np.diff(t)[3:-2] > max(SMALL * np.ptp(u), least)
-    after = 3 + np.flatnonzero(visible & (jump > JUMP_MIN_RATIO * np.maximum(changes[1:-3], changes[4:])))
+    is_visible = jump * np.diff(t)[3:-2] > max(SMALL * np.ptp(u), min_jump)
+    after = 3 + np.flatnonzero(is_visible & (jump > JUMP_MIN_RATIO * np.maximum(changes[1:-3], changes[4:])))
     # The second of two with a kink at the common sample.
     after = after[np.append(np.diff(after) > 1, True)[: after.size]]
     kinks, start = [], 0

@@ -492,15 +492,15 @@ class Phase(StrictAttributes):
         smallest = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
         return bool(smallest[0] > 0) or vector.name in self._nonaffine_vectors
 
-    def record_vector_control(self, vector: VectorControl, *, unit_direction: bool | None) -> None:
-        """Record that functions use a vector control; without ``unit_direction`` they decide `has_unit_direction`."""
+    def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
+        """Record that functions use a vector control; without ``on_sphere`` they decide `has_unit_direction`."""
         lengths = {v.direction_norm_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.state_derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vector_controls(expression)
         self._constrain_direction_to_unit_length(vector)
-        if unit_direction is not None:
-            self._unit_directions[vector.name] = unit_direction
+        if on_sphere is not None:
+            self._unit_directions[vector.name] = on_sphere
 
     def describe_reformulation(self, *texts: str) -> None:
         """Add descriptions of a reformulation that keeps the controls."""

@@ -118,9 +118,9 @@ def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
 
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
-    phase, pure = samples.phase, samples.pure_state_constraints
+    phase, state_rows = samples.phase, samples.pure_state_constraints
     on_states = np.abs(phase.state_multipliers) * samples.state_scale[:, None]
-    on_paths = np.abs(phase.path_multipliers[pure]) * path_scale[pure, None]
+    on_paths = np.abs(phase.path_multipliers[state_rows]) * path_scale[state_rows, None]
     has_multiplier = np.any(np.vstack([on_states, on_paths]) > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
     jumps = np.any(np.abs(phase.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions

@@ -281,11 +281,11 @@ class StagedRefinement:
             candidate = self._solve_on_mesh(FIRST, meshes, self.first)
             self.first = candidate.solution if candidate.is_solved else self.first
 
-    def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
+    def _build_uniform_meshes(self, segments: int, solution: Solution) -> dict[str, Mesh]:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
-        segments_per_phase = max(segments // len(like.phases), segments // 4)
+        segments_per_phase = max(segments // len(solution.phases), segments // 4)
         uniform = Mesh.uniform(segments_per_phase, STAGE_DEGREE)
-        return {name: max(uniform, phase.mesh, key=lambda m: m.size) for name, phase in like.phases.items()}
+        return {name: max(uniform, p.mesh, key=lambda m: m.size) for name, p in solution.phases.items()}
 
     def _solve_on_mesh(
         self,

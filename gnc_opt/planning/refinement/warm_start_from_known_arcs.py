@@ -101,28 +101,28 @@ class KnownSwitches:
 
 
 def _find_accurate_switching_times(
-    solution: Solution, structure: PhaseStructure, accuracy: float, known: NewtonStep | None = None
+    solution: Solution, structure: PhaseStructure, accuracy: float, known_step: NewtonStep | None = None
 ) -> tuple[PhaseStructure, BangBangExtremal] | None:
     """Return structure and extremal if the cost is accurate and no arc is missing, else None."""
-    optimum = find_optimal_switching_times(solution, structure, accuracy, known)
+    optimum = find_optimal_switching_times(solution, structure, accuracy, known_step)
     return optimum if optimum is not None and optimum[1].is_cost_accurate(accuracy) else None
 
 
-def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Solution:
+def truncate_solution_to_start_time(known_solution: Solution, problem: Problem) -> Solution:
     """Return the part of a known solution after the start of a modified problem, without arcs."""
-    if len(known.phases) != 1:
-        return known
-    ((name, phase),) = known.phases.items()
+    if len(known_solution.phases) != 1:
+        return known_solution
+    ((name, phase),) = known_solution.phases.items()
     start, first, last = problem.phases[name].numbers.initial_time, phase.initial_time, phase.final_time
     if start is None or not start.is_fixed[0] or not first < start.lower[0] < last:
-        return known
+        return known_solution
     remaining_phase = truncate_phase_to_start_time(phase, float(start.lower[0]))
-    return replace(known, phases={name: remaining_phase}, structure=())
+    return replace(known_solution, phases={name: remaining_phase}, structure=())
 
 
-def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
+def _shift_trajectory_to_initial_states(known_solution: Solution) -> Solution | None:
     """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
-    (phase,) = known.phases.values()
+    (phase,) = known_solution.phases.values()
     for bounds, t in (
         (phase.initial_time_bounds, phase.initial_time),
         (phase.final_time_bounds, phase.final_time),
@@ -132,7 +132,7 @@ def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
     initial_bounds = phase.initial_bounds
     offset = np.where(initial_bounds.is_fixed, initial_bounds.lower - phase.x(phase.breaks[0]), 0.0)
     x = PiecewisePolynomial(phase.x.breaks, phase.x.nodes, tuple(v + offset[:, None] for v in phase.x.values))
-    return replace(known, phases={phase.name: replace(phase, x=x)})
+    return replace(known_solution, phases={phase.name: replace(phase, x=x)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +194,8 @@ class KnownArcs:
         return has_same_arcs and (bool(known_arcs) or len(found.history.passes) == 1)
 
 
-def restore_initial_refinement_meshes(known: Solution) -> dict[str, Mesh]:
+def restore_initial_refinement_meshes(known_solution: Solution) -> dict[str, Mesh]:
     """Return the meshes of the first stage of a refinement; the default meshes if only its arcs or meshes are known."""
-    passes = () if known.history is None else known.history.passes
+    passes = () if known_solution.history is None else known_solution.history.passes
     meshes = next((p.meshes for p in passes if p.stage == FIRST), None)
-    return read_meshes(meshes, known.phases, known.problem_name)
+    return read_meshes(meshes, known_solution.phases, known_solution.problem_name)

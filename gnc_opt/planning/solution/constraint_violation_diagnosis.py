@@ -97,6 +97,6 @@ def _find_nonfinite(problem: Problem, phases: dict[str, PhaseSolution], paramete
         trajectory = times, phase.x(times), phase.u(times)
         nonfinite = find_nonfinite_function(problem, problem.phases[name], *trajectory, parameters)
         if nonfinite:
-            when = f"t = {nonfinite.time:.4g} {problem.time_unit}"
-            violations.append(Violation(f"{nonfinite.what}, phase {name}, {when}", np.nan))
+            time = f"t = {nonfinite.time:.4g} {problem.time_unit}"
+            violations.append(Violation(f"{nonfinite.what}, phase {name}, {time}", np.nan))
     return violations

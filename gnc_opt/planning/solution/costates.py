@@ -174,8 +174,8 @@ class PhaseCostates:
     ) -> PhaseCostates:
         """Return the costates and state bound multipliers of a phase.
 
-        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``pure`` the contribution of pure state path
-        constraints to it.
+        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``pure`` is the contribution of pure state
+        path constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = compute_costates_at_collocation_points(collocation, lam_g)

@@ -204,8 +204,8 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits) -> Violations:
     unresolved = np.flatnonzero(np.isfinite(excess) & (possible_excess > 0) & (rise > 0))
     unresolved = unresolved[_select_largest_violation_peaks(rows[unresolved], possible_excess[unresolved])]
     if unresolved.size:
-        beside = (_find_neighbouring_samples(samples, j[unresolved], step) for step in (-1, 1))
-        left, right = (samples.times[neighbours] for neighbours in beside)
+        neighbour_pairs = (_find_neighbouring_samples(samples, j[unresolved], step) for step in (-1, 1))
+        left, right = (samples.times[neighbours] for neighbours in neighbour_pairs)
         chosen = limits.select_limits(rows[unresolved])
         peaks, heights = _locate_violation_peaks(samples.phase, chosen, left, right)
         is_higher = heights > excess[unresolved]

@@ -44,7 +44,7 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
         times = boundary_guess.times[0] + breaks * (boundary_guess.times[1] - boundary_guess.times[0])
         x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
-        x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
+        x[transcription.parameter_indices] = np.concatenate(list(problem.parameter_guess.values()))
     bounds = transcription.get_variable_bounds(problem)
     return np.clip(x, bounds.lower, np.maximum(bounds.lower, bounds.upper))
 
@@ -73,8 +73,8 @@ def build_nlp_point_from_solution(
     for name in problem.parameters.names:
         if name in guess.free_parameters:
             own_rows, guess_rows = problem.parameters.slice(name), guess.free_parameters.slice(name)
-            x[transcription.parameter_places[own_rows]] = guess.parameter_values[guess_rows]
-            lam_x[transcription.parameter_places[own_rows]] = guess.parameter_multipliers[guess_rows]
+            x[transcription.parameter_indices[own_rows]] = guess.parameter_values[guess_rows]
+            lam_x[transcription.parameter_indices[own_rows]] = guess.parameter_multipliers[guess_rows]
     _set_boundary_constraint_multipliers(transcription, guess, lam_g)
     bounds = transcription.get_variable_bounds(problem)
     x = np.clip(x, bounds.lower, np.maximum(bounds.lower, bounds.upper))

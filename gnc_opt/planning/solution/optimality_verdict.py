@@ -46,8 +46,8 @@ class LowerBound(PrintableResult):
 
     def __str__(self) -> str:
         local = "a local minimum, no bound if the subsystem has a lower one"
-        known = f"global minimum: {self.theorem}" if self.certified else local
-        return f"{self.value:.10g} from the subsystem {', '.join(self.states)} ({known})"
+        text = f"global minimum: {self.theorem}" if self.certified else local
+        return f"{self.value:.10g} from the subsystem {', '.join(self.states)} ({text})"
 
 
 GROUPS = {

@@ -94,19 +94,19 @@ class PhaseSamples:
         """Return samples with another cost magnitude and further cells; without these, cached values are kept."""
         if feature_edges.size:
             return replace(self.from_phase(self.phase, self.functions, feature_edges), cost_magnitude=amount)
-        other = replace(self, cost_magnitude=amount)
-        cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
-        vars(other).update(cached)
-        return other
+        clone = replace(self, cost_magnitude=amount)
+        cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(clone)}
+        vars(clone).update(cached)
+        return clone
 
-    def resample_at_even_times(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
+    def resample_at_even_times(self, count: int, min_steps: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
         """Return samples at ``count`` or more evenly spaced times, two Gauss points per step, and at segment ends.
 
-        Every segment has at least ``least`` steps.
+        Every segment has at least ``min_steps`` steps.
         """
         breaks = self.phase.breaks
         widths = np.diff(breaks)
-        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), min_steps).astype(int)
         pieces = zip(breaks[:-1], breaks[1:], steps, strict=True)
         edges_by_segment = [np.linspace(left, right, n + 1) for left, right, n in pieces]
         edges = np.unique(np.concatenate([*edges_by_segment, self.feature_edges]))
@@ -246,16 +246,16 @@ class PhaseSamples:
     @cached_property
     def control_span(self) -> Array:
         """Scale of each control, from its own variation or the costates (m,); module `state_and_control_scales`."""
-        terms = np.abs(self.switching_functions - self.cost_gradient)
+        derivatives = np.abs(self.switching_functions - self.cost_gradient)
         rate_magnitude = float(np.nanmax(self._costate_rate_product_magnitudes, initial=0.0))
         required = estimate_required_controls(self.phase, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = compute_control_scales(self.phase, self.u, terms, curvature, rate_magnitude, required)
+        spans = compute_control_scales(self.phase, self.u, derivatives, curvature, rate_magnitude, required)
         quadratic = [self._is_hamiltonian_quadratic(i, spans[i], curvature[i]) for i in range(spans.size)]
         if all(quadratic):
             return spans
         curvature = np.where(np.array(quadratic)[:, None], curvature, 0.0)
-        return compute_control_scales(self.phase, self.u, terms, curvature, rate_magnitude, required)
+        return compute_control_scales(self.phase, self.u, derivatives, curvature, rate_magnitude, required)
 
     def _is_hamiltonian_quadratic(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
@@ -263,8 +263,8 @@ class PhaseSamples:
         step = np.zeros((self.u.shape[0], 1))
         step[i] = 0.5 * span
         t, x, lam, u = self.times[j], self.x[:, j], self.lam[:, j], self.u[:, j]
-        before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
-        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[j[0]]) * step[i, 0] ** 2
+        before, middle, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
+        return not abs(after - 2.0 * middle + before) < NEGLIGIBLE * abs(curvature[j[0]]) * step[i, 0] ** 2
 
     @cached_property
     def angular_control_periods(self) -> Array:
@@ -338,8 +338,8 @@ class PhaseSamples:
     def hamiltonian_term_magnitudes(self) -> Array:
         """Sum of the magnitudes of the terms of H (n_samples,)."""
         integrands = self.functions.integrands(self.times, self.x, self.u)
-        terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return np.asarray(self._costate_rate_product_magnitudes + terms)
+        magnitudes = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        return np.asarray(self._costate_rate_product_magnitudes + magnitudes)
 
     @cached_property
     def hamiltonian_scale(self) -> float:
@@ -350,8 +350,8 @@ class PhaseSamples:
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
-        terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        largest = float(np.max(self._costate_rate_product_magnitudes + terms, initial=0.0))
+        magnitudes = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        largest = float(np.max(self._costate_rate_product_magnitudes + magnitudes, initial=0.0))
         return max(largest, self.max_hamiltonian_change)  # which is at least the rounding level
 
     @property

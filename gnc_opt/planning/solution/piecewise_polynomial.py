@@ -146,10 +146,10 @@ def _group_segments_by_equal_nodes(nodes: tuple[bytes, ...]) -> tuple[tuple[Arra
 
 
 def _build_interpolation_bases(
-    breaks: bytes, nodes: tuple[bytes, ...], at: bytes, side: Side
+    breaks: bytes, nodes: tuple[bytes, ...], sample_times: bytes, side: Side
 ) -> tuple[_LagrangeBasis, ...]:
     """Return the bases at times within the interval, by group."""
-    edges, times, bases = np.frombuffer(breaks), np.frombuffer(at), []
+    edges, times, bases = np.frombuffer(breaks), np.frombuffer(sample_times), []
     segment = edges[1:-1].searchsorted(times, side)
     initial, final = edges[segment], edges[segment + 1]
     tau = ((times - initial) - (final - times)) / (final - initial)

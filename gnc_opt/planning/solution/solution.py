@@ -195,9 +195,9 @@ class Solution(PrintableResult):
         """Return the multiplier(s) nu of a named boundary constraint."""
         rows = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
         if not rows:
-            known = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
+            names = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
             raise unknown_name_error(
-                "boundary constraint", name, f"the solution of '{self.problem_name}'", known
+                "boundary constraint", name, f"the solution of '{self.problem_name}'", names
             )
         values = self.constraint_multipliers[rows]
         return float(values[0]) if values.size == 1 else values
@@ -272,14 +272,14 @@ class Solution(PrintableResult):
     def outside_tables(self) -> list[OutsideTable]:
         """Return where the trajectory is outside of the tables of its problem; needs the problem."""
         problem = self.need_problem("look for the tables of")
-        outside: list[OutsideTable] = []
+        points: list[OutsideTable] = []
         for name, phase in problem.phases.items():
             if list_table_calls(problem, phase):
                 s = self._cached_phase_samples[name]
                 parameters = s.phase.parameters, self.parameter_values
-                outside += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *parameters)
+                points += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *parameters)
         values = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
-        return outside + find_boundary_values_outside_tables(problem, [*values, self.parameter_values])
+        return points + find_boundary_values_outside_tables(problem, [*values, self.parameter_values])
 
     def propagate(self, phase: str | None = None) -> Propagation:
         """Return the dynamics integrated with the applied control (DOP853), independently of the collocation.
@@ -372,10 +372,10 @@ class Solution(PrintableResult):
         OSError
             The file cannot be written, e.g. because its folder does not exist.
         """
-        known = vars(self).get("accuracy") if self.problem is None else self.accuracy
+        accuracy = vars(self).get("accuracy") if self.problem is None else self.accuracy
         written_by = self.provenance.get("gnc_opt", "unknown")
         return SOLUTION_FILES.write_result_file(
-            path, self, written_by=written_by, accuracy=known, history=self.history
+            path, self, written_by=written_by, accuracy=accuracy, history=self.history
         )
 
     def with_problem(self, problem: Problem) -> Solution:

@@ -114,9 +114,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     hessian = set_nonfinite_to_zero(s.functions.control_hessian(*arguments))
     slope, curvature = _project_hamiltonian_derivatives_on_active_paths(s, arguments[-1], gradient, hessian)
     bounds = s.phase.control_bounds
-    reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
-    lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
-    upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
+    range = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
+    lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -range)
+    upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, range)
     gains = _maximise_bounded_quadratic(slope, curvature, lower, upper)
     net_decrease = s.integrate_over_segments(np.sum(gains, axis=0))
     sum_of_decreases = s.integrate_over_segments(np.sum(np.maximum(gains, 0.0), axis=0))

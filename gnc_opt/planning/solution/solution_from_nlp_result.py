@@ -76,7 +76,7 @@ def build_phase_solutions(
     transcription: Transcription, problem: Problem, iterate: NlpIterate
 ) -> tuple[dict[str, PhaseSolution], EndGradients]:
     """Return the solution of every phase, and the end-point gradients."""
-    q = iterate.x[transcription.parameter_places]
+    q = iterate.x[transcription.parameter_indices]
     nu = iterate.lam_g[transcription.constraint_rows]
     integrals: dict[str, Array] = {}
     ends: dict[str, list[Any]] = {}
@@ -97,7 +97,7 @@ def build_phase_solutions(
 
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with unwrapped angular controls."""
-    q = variables[transcription.parameter_places]
+    q = variables[transcription.parameter_indices]
     unwrapped = variables.copy()
     for name, part in transcription.parts.items():
         functions, bounds = bind_parameters(problem, name, q), problem.phases[name].numbers.controls
@@ -163,7 +163,7 @@ def _build_phase_solution(
     gradients: EndGradients,
 ) -> PhaseSolution:
     phase, collocation = problem.phases[part.name], part.collocation
-    q = iterate.x[transcription.parameter_places]
+    q = iterate.x[transcription.parameter_indices]
     anchors, spans, (times, x, u) = _read_collocation_points(transcription, problem, part, iterate.x)
     functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
     lam = compute_costates_at_collocation_points(collocation, iterate.lam_g)
@@ -210,8 +210,8 @@ def _align_directions_with_primer_vector(
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
     layout, aligned = phase.model.controls, u.copy(order="K")
-    stated = {c.parts for c in phase.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
-    for vector in (v for v in phase.vector_controls if v.parts[1:] in stated):
+    units = {c.parts for c in phase.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
+    for vector in (v for v in phase.vector_controls if v.parts[1:] in units):
         size, direction = layout.slice(vector.magnitude), layout.slice(vector.direction)
         zero = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
         thrusting = u[:, zero].copy()
@@ -235,9 +235,9 @@ def build_state_polynomial(
             rates = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]
             is_extra_node = ~np.isin(rule.state_nodes, rule.points)
             integration = rule.build_integration_matrix(rule.state_nodes[is_extra_node])
-            added = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * rates @ integration.T
+            increments = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * rates @ integration.T
             all_states = np.empty((states.shape[0], rule.n + 1))
-            all_states[:, ~is_extra_node], all_states[:, is_extra_node] = states, added
+            all_states[:, ~is_extra_node], all_states[:, is_extra_node] = states, increments
             states = all_states
         nodes.append(rule.state_nodes)
         values.append(states)

@@ -70,7 +70,7 @@ def summary(solution: SolutionLike) -> str:
         *_summarise_lower_bound_and_norms(solution),
         ("mesh", format_mesh(solution)),
         ("time spent", f"{seconds:.2f} s; last solve: {statistics.summary_text}"),
-        *(("table", str(found)) for found in list_points_outside_tables(solution)),
+        *(("table", str(point)) for point in list_points_outside_tables(solution)),
     ]
     lines = [f"  {label:<{LABEL_WIDTH}}{text}" for label, text in rows]
     return "\n".join([_format_summary_headline(solution), *lines])
@@ -110,8 +110,8 @@ def _format_summary_headline(solution: SolutionLike) -> str:
     elif history is None:
         status = f"solved ({_format_status(solution.status.value)})"
     else:
-        reached = history.converged or history.status is RefinementStatus.UNCHECKED
-        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
+        is_final = history.converged or history.status is RefinementStatus.UNCHECKED
+        status = f"{'refined' if is_final else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
     return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 

@@ -101,14 +101,14 @@ def compute_state_scales(
 
 
 def compute_control_scales(
-    phase: PhaseSolution, applied: Array, slope: Array, curvature: Array, terms: float, needed: Array | float
+    phase: PhaseSolution, applied: Array, slope: Array, curvature: Array, level: float, needed: Array | float
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
     ``applied``, ``slope``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and
     d2H/du2. A constant control has the scale slope / curvature; without it and a range, the one required for the motion
     (``needed``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a near
-    limit the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
+    limit the scale with the same effect on H as the others, or as ``level``, products of costates and rates.
     """
     width, size = phase.control_bounds.interval_width_or_zero, np.max(np.abs(applied), axis=1)
     variation = np.ptp(applied, axis=1) if applied.size else size
@@ -121,7 +121,7 @@ def compute_control_scales(
     spans = take_largest_variable_component(spans, phase.controls)
     cost = np.fmax(max_slope * spans, max_curv * spans**2)
     largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
-    largest = largest if largest > NEGLIGIBLE**2 * terms else terms
+    largest = largest if largest > NEGLIGIBLE**2 * level else level
     by_cost = np.sqrt(np.divide(largest, max_curv, out=np.zeros_like(max_curv), where=max_curv > 0))
     inactive_scale = replace_tiny_by_one(np.fmax(by_cost, size))
     inactive_scale = np.where(width > INACTIVE_RANGE_RATIO * inactive_scale, inactive_scale, width)
@@ -129,9 +129,9 @@ def compute_control_scales(
     spans = np.where(spans > NEGLIGIBLE * by_cost, spans, by_cost)
     spans = take_largest_variable_component(spans, phase.controls)
     fallback = np.where(size > EQUAL * needed, np.minimum(size, needed), needed)
-    unmoved = (width == 0) & (np.fmax(variation, by_slope) <= NEGLIGIBLE * fallback)
-    unmoved &= spans <= np.fmax(NEGLIGIBLE * fallback, SPAN_MIN_SHARE * size)
-    spans = np.where(unmoved, np.fmax(fallback, spans), spans)
+    is_constant = (width == 0) & (np.fmax(variation, by_slope) <= NEGLIGIBLE * fallback)
+    is_constant &= spans <= np.fmax(NEGLIGIBLE * fallback, SPAN_MIN_SHARE * size)
+    spans = np.where(is_constant, np.fmax(fallback, spans), spans)
     spans = take_largest_variable_component(spans, phase.controls)
     spans = np.where(spans > ROUNDING, spans, width)
     return _replace_zeros(spans, replace_tiny_by_one(size))
@@ -189,7 +189,7 @@ def take_largest_variable_component(values: Array, layout: Layout) -> Array:
     return values
 
 
-def _replace_zeros(values: Array, *others: Array) -> Array:
-    for other in others:
-        values = np.where(values > 0, values, other)
+def _replace_zeros(values: Array, *fallbacks: Array) -> Array:
+    for fallback in fallbacks:
+        values = np.where(values > 0, values, fallback)
     return values

@@ -93,7 +93,7 @@ def predict_solution(
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     phases, _ = build_phase_solutions(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
-    values = x[transcription.parameter_places]
+    values = x[transcription.parameter_indices]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
     return PredictedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
 

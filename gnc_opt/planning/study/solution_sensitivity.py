@@ -268,7 +268,7 @@ def _assemble_solution_sensitivity(
 ) -> Sensitivity:
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
-    values = np.stack([r.variables[transcription.parameter_places] for r in responses])
+    values = np.stack([r.variables[transcription.parameter_indices] for r in responses])
     parameters = {
         name: _stack_signal_components(list(values[:, layout.slice(name)])) for name in layout.names
     }
@@ -375,7 +375,7 @@ def _differentiate_rates_at_points(
     collocation, problem = part.collocation, program.problem
     own = problem.phases[part.name]
     variables = program.x * program.scaling.variables
-    q = variables[program.transcription.parameter_places]
+    q = variables[program.transcription.parameter_indices]
     extended = np.concatenate([variables, program.transcription.list_fixed_phase_times(problem)])
     here, there = extended[part.times], moved[part.times]
     arcs, fractions = collocation.point_arc_indices, collocation.normalised_times_in_arcs
@@ -393,7 +393,7 @@ def _differentiate_rates_at_points(
         moved[collocation.point_states],
         moved[collocation.point_controls],
         change.numbers[offset : offset + p.size],
-        moved[program.transcription.parameter_places],
+        moved[program.transcription.parameter_indices],
     ]
     derivative = _build_rate_derivative_function(problem, own)
     change_of_f = evaluate_casadi_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)

@@ -44,7 +44,7 @@ class NlpLayout:
 
     Attributes
     ----------
-    parameter_places, integral_places : int array
+    parameter_indices, integral_places : int array
         Indices of the free parameters, and of the integrals that are variables.
     constraint_rows : int array
         Row indices of the boundary constraints.
@@ -110,7 +110,7 @@ class NlpLayout:
         ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
         variable += len(free_times)
-        self.parameter_places = variable + np.arange(self.problem.parameters.size)
+        self.parameter_indices = variable + np.arange(self.problem.parameters.size)
         variable += self.problem.parameters.size
         self.integral_places = variable + np.arange(len(self._defined))
         self.n_variables = variable + len(self._defined)

@@ -52,7 +52,7 @@ def choose_variable_scales(
         span = max(abs(guess_phase_times(problem.phases[name])[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
-    places = transcription.parameter_places
+    places = transcription.parameter_indices
     scales[places] = choose_scaling_magnitudes_from_bounds(
         problem.get_parameter_bounds(), np.abs(start[places])
     )

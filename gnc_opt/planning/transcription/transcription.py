@@ -108,9 +108,9 @@ class Transcription(NlpLayout):
         fixed_times = [
             self._nlp_parameter_symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed
         ]
-        parameter_places = np.tile(self.parameter_places[:, None], (1, n_points))
+        parameter_indices = np.tile(self.parameter_indices[:, None], (1, n_points))
         variables = np.vstack(
-            [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
+            [collocation.point_states, collocation.point_controls, end_places[free], parameter_indices]
         )
         data = ca.vertcat(
             ca.MX(ca.DM(collocation.normalised_times_in_arcs[None])),
@@ -190,7 +190,7 @@ class Transcription(NlpLayout):
             ca.substitute(outputs, t, time),
         )
         states = part.collocation.boundary_states[:, junction.boundary]
-        variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_places])
+        variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_indices])
         data = ca.vertcat(
             self._nlp_parameter_symbols.times[(places[fixed] - self.n_variables).tolist()],
             self._nlp_parameter_symbols.models[name],
@@ -211,7 +211,7 @@ class Transcription(NlpLayout):
                 part.times,
             )
         ]
-        variables = np.concatenate([*places, self.parameter_places, self.integral_places])
+        variables = np.concatenate([*places, self.parameter_indices, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
         function = self.problem.memoize(
             ("end rows", *arcs, *self._durations), self._build_boundary_constraint_function
@@ -350,7 +350,7 @@ class Transcription(NlpLayout):
         for name, part in self.parts.items():
             self._set_phase_bounds(box, problem, problem.phases[name], part)
         q = problem.get_parameter_bounds()
-        box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
+        box.lower[self.parameter_indices], box.upper[self.parameter_indices] = q.lower, q.upper
         return box
 
     def _set_phase_bounds(self, box: Interval, problem: Problem, phase: Phase, part: PhaseIndices) -> None:

@@ -100,8 +100,8 @@ def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZe
     steps = JUNCTION_OFFSET_SHARE * np.minimum(
         times - phase.breaks[neighbours - 1], phase.breaks[neighbours + 1] - times
     )
-    near = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
-    arguments = near, phase.x(near), phase.applied(near), phase.lam(near), phase.path_multiplier(near)
+    t = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
+    arguments = t, phase.x(t), phase.applied(t), phase.lam(t), phase.path_multiplier(t)
     values = differentiate_augmented_hamiltonian(s, *arguments)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
@@ -110,13 +110,13 @@ def _find_worst_switching_function_sign(s: PhaseSamples) -> _SwitchingFunctionZe
     signed = np.min(direction * slopes * unit, axis=0)
     zeros = []
     for slope, t, i in zip(signed, times, channels, strict=True):
-        where = s.describe_time(t, phase.controls.labels[i])
+        location = s.describe_time(t, phase.controls.labels[i])
         violation = _compute_switching_sign_violation(s, int(i), times[channels == i], float(t))
         slope = -np.inf if np.isnan(slope + violation) else slope
-        harmless = bool(slope >= -NEGLIGIBLE or (-np.inf < slope and violation <= NEGLIGIBLE))
-        if harmless and slope < -NEGLIGIBLE:
-            where += f": the wrong sign, but only by {violation:.1e} of H"
-        zeros.append(_SwitchingFunctionZero(harmless, float(slope), where))
+        is_harmless = bool(slope >= -NEGLIGIBLE or (-np.inf < slope and violation <= NEGLIGIBLE))
+        if is_harmless and slope < -NEGLIGIBLE:
+            location += f": the wrong sign, but only by {violation:.1e} of H"
+        zeros.append(_SwitchingFunctionZero(is_harmless, float(slope), location))
     return min(zeros)
 
 
@@ -242,11 +242,11 @@ def _check_second_order_of_switch_sequence(
     all_multipliers[active] = multipliers / norms
     # Conditions and orders without a multiplier only restrict directions to a half-space.
     strong = (sides == 0) | (np.abs(multipliers) > AT_LIMIT * cost)
-    equal = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
+    fixed = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
     half_spaces = np.vstack(
         [-sides[~strong, None] * rows[~strong], precedences[precedence_multipliers <= AT_LIMIT * cost]]
     )
-    basis = scipy.linalg.null_space(equal, rcond=RANK) if np.any(equal) else np.eye(equal.shape[1])
+    basis = scipy.linalg.null_space(fixed, rcond=RANK) if np.any(fixed) else np.eye(fixed.shape[1])
     if not basis.shape[1]:
         return SecondOrderResult(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = (
@@ -295,7 +295,7 @@ def _build_switch_order_constraints(
     for name, order in orders.items():
         constraints = switches[name].build_switch_sequence_constraints(order)
         block = np.zeros((constraints.shape[0], unknowns.scale.size))
-        block[:, unknowns.places[name][: constraints.shape[1]]] = constraints
+        block[:, unknowns.columns[name][: constraints.shape[1]]] = constraints
         rows.append(block)
     return np.vstack(rows)
 

@@ -51,12 +51,12 @@ def impose_constraints_active_at_ends(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
     """Return the solution and its end gradients, with these constraints as boundary constraints with multipliers."""
-    active = [(s, end, at, _find_constraints_active_at_end(s, at)) for s in samples for end, at in ENDS]
-    nonempty = [found for found in active if found[-1].size]
+    active = [(s, end, k, _find_constraints_active_at_end(s, k)) for s in samples for end, k in ENDS]
+    nonempty = [entry for entry in active if entry[-1].size]
     if not nonempty:
         return solution, ends
     problem, multipliers = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
-    for s, end, at, rows in nonempty:
+    for s, end, k, rows in nonempty:
         phase = problem.phases[s.phase.name]
         box = phase.get_path_bounds()
         for row in rows:
@@ -65,25 +65,25 @@ def impose_constraints_active_at_ends(
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        multipliers.append(explain_transversality_residual(s, at, ends).multipliers[rows])
+        multipliers.append(explain_transversality_residual(s, k, ends).multipliers[rows])
     problem.clear_cache()
-    stated = replace(
+    problem_at_ends = replace(
         solution,
         problem=problem,
         constraint_multipliers=np.concatenate(multipliers),
         constraint_labels=problem.constraint_labels(),
     )
-    return stated, get_endpoint_gradients(stated)
+    return problem_at_ends, get_endpoint_gradients(problem_at_ends)
 
 
-def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
+def _find_constraints_active_at_end(s: PhaseSamples, k: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
-    phase, pure = s.phase, s.pure_state_constraints
-    end, point = s.times[[at]], phase.point_times[[at]]
+    phase, state_rows = s.phase, s.pure_state_constraints
+    end, point = s.times[[k]], phase.point_times[[k]]
     values = np.hstack([s.functions.path_constraints(t, phase.x(t), phase.applied(t)) for t in (end, point)])
     at_limit = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
     at_limit &= ~phase.path_bounds.is_fixed[:, None]
-    return np.asarray(pure[at_limit[pure, 0] & ~at_limit[pure, 1]])
+    return np.asarray(state_rows[at_limit[state_rows, 0] & ~at_limit[state_rows, 1]])
 
 
 def _express_path_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
@@ -97,25 +97,25 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     """Return the residual of the adjoint equation, and costate jumps without an active state constraint."""
     worst = NO_VIOLATION
     for s in samples:
-        along, cost = scales.phases[s.phase.name].along, scales.cost
+        ellipsoid, cost = scales.phases[s.phase.name].along, scales.cost
         share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
         if s.pure_state_constraints.size:
             share = np.fmin(
                 share, _evaluate_costate_residuals(s, _remove_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
-        where = s.describe_segment(
-            k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], along.radius)}"
+        location = s.describe_segment(
+            k, f"adjoint equation of {_find_state_of_costliest_gradient(s, total[:, k], ellipsoid.radius)}"
         )
-        worst = worst.select_larger(Worst(float(share[k]), where))
+        worst = worst.select_larger(Worst(float(share[k]), location))
         if s.phase.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
-            share = along.support_function(jumps) / cost
+            share = ellipsoid.support_function(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
-            label = _find_state_of_costliest_gradient(s, jumps[:, k], along.radius)
-            where = s.describe_time(s.phase.breaks[k + 1], f"jump of the costate of {label}")
-            worst = worst.select_larger(Worst(float(share[k]), where))
+            label = _find_state_of_costliest_gradient(s, jumps[:, k], ellipsoid.radius)
+            location = s.describe_time(s.phase.breaks[k + 1], f"jump of the costate of {label}")
+            worst = worst.select_larger(Worst(float(share[k]), location))
     return worst
 
 
@@ -128,11 +128,11 @@ def _evaluate_costate_residuals(
     s: PhaseSamples, mu: Array, scales: Scales, tolerance: float
 ) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
-    along = scales.phases[s.phase.name].along
+    scale = scales.phases[s.phase.name].along
     residual = s.adjoint_residual(s.u, mu)
     total = s.integrate_over_segments(residual)
-    inside = s.segment_maxima(along.support_function(s.cumulative_integrals(residual))) * np.sqrt(tolerance)
-    violation = np.fmax(along.support_function(total), inside) / scales.cost
+    partial_sums = s.segment_maxima(scale.support_function(s.cumulative_integrals(residual)))
+    violation = np.fmax(scale.support_function(total), partial_sums * np.sqrt(tolerance)) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), violation, np.inf), total
 
 
@@ -143,10 +143,10 @@ def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
         np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool)
         for rule in phase.collocation_rules
     ]
-    nodes = tuple(rule.points[kept] for rule, kept in zip(phase.collocation_rules, is_inner, strict=True))
-    values = tuple(v[:, kept] for v, kept in zip(phase.path_multiplier.values, is_inner, strict=True))
-    mu, pure = s.mu.copy(), s.pure_state_constraints
-    mu[pure] = s.sample_signal(PiecewisePolynomial(phase.breaks, nodes, values))[pure]
+    nodes = tuple(rule.points[inner] for rule, inner in zip(phase.collocation_rules, is_inner, strict=True))
+    values = tuple(v[:, inner] for v, inner in zip(phase.path_multiplier.values, is_inner, strict=True))
+    mu, state_rows = s.mu.copy(), s.pure_state_constraints
+    mu[state_rows] = s.sample_signal(PiecewisePolynomial(phase.breaks, nodes, values))[state_rows]
     return mu
 
 
@@ -154,13 +154,13 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     """Return the residuals of the transversality conditions, of costates at free ends and of H at free times."""
     worst = NO_VIOLATION
     for s in samples:
-        reach = scales.phases[s.phase.name]
+        sizes = scales.phases[s.phase.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
-        gaps = {end: explain_transversality_residual(s, at, ends) for end, at in (("start", 0), ("end", -1))}
-        for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (reach.start, reach.end), strict=True):
+        gaps = {end: explain_transversality_residual(s, k, ends) for end, k in (("start", 0), ("end", -1))}
+        for (end, gap), k, ellipsoid in zip(gaps.items(), (0, -1), (sizes.start, sizes.end), strict=True):
             residual = gap.gap - gap.explained
             residual = np.copysign(
-                _compute_wrong_sign_multipliers(residual, s.x[:, at], gap.limits, s.state_scale), residual
+                _compute_wrong_sign_multipliers(residual, s.x[:, k], gap.limits, s.state_scale), residual
             )
             violation = float(ellipsoid.support_function(residual)) / scales.cost
             if end == "end":
@@ -291,14 +291,14 @@ def check_parameter_stationarity(
 ) -> Worst:
     """Return the largest change of the cost if a free parameter varies by its deviation within its bounds."""
     values, bounds = solution.parameter_values, solution.need_problem("verify").get_parameter_bounds()
-    gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
+    gradient, magnitudes = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
         atoms = _compute_contact_parameter_gradients(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
-        terms = terms + np.abs(density) @ s.weights
+        magnitudes = magnitudes + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
-    slope = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
+    slope = np.where(np.abs(gradient) > ROUNDING * magnitudes, gradient, 0.0)
     scale = scales.parameters[:, None]
     violation = (
         _compute_complementarity_products(-slope[:, None], values[:, None], bounds, scale)[:, 0] / scales.cost
@@ -310,7 +310,7 @@ def check_parameter_stationarity(
 def _compute_contact_parameter_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     phase = s.phase
-    end_atoms = [explain_transversality_residual(s, at, ends).multipliers for at in (0, -1)]
+    end_atoms = [explain_transversality_residual(s, k, ends).multipliers for k in (0, -1)]
     atoms = np.column_stack([end_atoms[0], explain_costate_jumps(s)[1], end_atoms[1]])
     x, u = phase.x(phase.breaks), phase.applied(phase.breaks)
     no_costates = np.zeros_like(x)

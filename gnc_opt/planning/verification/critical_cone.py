@@ -95,8 +95,8 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
         if not rows.size:
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.phase.mesh.breaks, s.phase.breaks)
-        at = breaks, s.phase.x(breaks), s.phase.applied(breaks)
-        columns, gradients = differentiate_path_constraints(point.transcription, part, s.functions, at)
+        arguments = breaks, s.phase.x(breaks), s.phase.applied(breaks)
+        columns, gradients = differentiate_path_constraints(point.transcription, part, s.functions, arguments)
         values = gradients[:, rows, boundaries] * point.scaling.variables[columns[:, boundaries]]
         row_numbers = np.tile(np.arange(rows.size), columns.shape[0])
         shape = rows.size, point.x.size
@@ -225,8 +225,8 @@ def _extend_active_limits_along_arcs(
     """Fix, in place, nodes at the same limit as a node of their line with a multiplier."""
     for line in lines:
         limits = values[line[nonzero[line]]]
-        same = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
-        active[line[same]], doubtful[line[same]] = True, False
+        is_near_limit = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
+        active[line[is_near_limit]], doubtful[line[is_near_limit]] = True, False
 
 
 def _select_nlp_variables_of_segment(collocation: PhaseCollocation, indices: Indices, k: int) -> Indices:

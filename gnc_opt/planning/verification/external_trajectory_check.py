@@ -168,7 +168,7 @@ def verify_trajectory(
     if verdict.minimum or solved is problem or _do_angles_exceed_full_turn(problem, solved, samples):
         return verdict
     restated = {
-        name: reformulate_sampled_phase(problem, solved.phases[name], own, q) for name, own in samples.items()
+        name: reformulate_sampled_phase(problem, solved.phases[name], s, q) for name, s in samples.items()
     }
     q = _append_epigraph_parameters(solved, restated, q)
     second = _check_sampled_trajectory(solved, _unwrap_sampled_angles(solved, restated, q), q, tol)
@@ -182,8 +182,8 @@ def _check_sampled_trajectory(
     verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
     path_limited = any(phase.path_labels for phase in problem.phases.values())
     uncertain = ("stationarity", "active set") if path_limited else ("active set",)
-    for near in SMALLER_DISTANCES if any(c.name in uncertain for c in verdict.failed) else ():
-        retry = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
+    for distance in SMALLER_DISTANCES if any(c.name in uncertain for c in verdict.failed) else ():
+        retry = verify(_build_sampled_solution(problem, samples, q, distance=distance), tol=tol)
         if not retry.failed:
             return replace(retry, estimated=True)
     parts = 1
@@ -223,20 +223,20 @@ def _do_defects_cancel_between_repeated_times(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int
 ) -> bool:
     """Return whether defects affect the cost less at times given twice, the ends of segments of another tool."""
-    anywhere = at_ends = 0.0
+    largest = at_ends = 0.0
     for name, s in _build_sampled_solution(problem, samples, q, parts).samples().items():
         defects = np.sum(s.lam * compute_dynamics_residual(s, s.u), axis=0)
         sums, t = np.abs(np.cumsum(s.integrate_over_segments(defects))), samples[name].t
         ends = np.isin(s.phase.breaks[1:], t[1:][np.diff(t) == 0])
-        anywhere = max(anywhere, float(np.max(sums)))
+        largest = max(largest, float(np.max(sums)))
         at_ends = max(at_ends, float(np.max(sums[ends] if np.any(ends) else sums)))
-    return INTERPOLATION_MIN_GROWTH * at_ends <= anywhere
+    return INTERPOLATION_MIN_GROWTH * at_ends <= largest
 
 
 def _is_failure_due_to_interpolation(failed: Condition, growth: float) -> bool:
     """Return whether an error grows enough if every second sample is omitted; defects, being integrals, always grow."""
-    grows = INTERPOLATION_MIN_GROWTH <= growth < np.inf or failed.name == "dynamics"
-    return grows and failed.value <= failed.tolerance * growth**MAX_HALVINGS
+    is_growing = INTERPOLATION_MIN_GROWTH <= growth < np.inf or failed.name == "dynamics"
+    return is_growing and failed.value <= failed.tolerance * growth**MAX_HALVINGS
 
 
 def _remove_every_second_sample(samples: SampledPhase) -> SampledPhase:
@@ -281,7 +281,7 @@ def _append_epigraph_parameters(problem: Problem, samples: Mapping[str, SampledP
 
 
 def _build_sampled_solution(
-    problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
+    problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, distance: float = ACTIVE
 ) -> Solution:
     fitted = {}
     for name, phase in problem.phases.items():
@@ -290,7 +290,7 @@ def _build_sampled_solution(
         rates = bind_parameters(problem, name, q).state_rates
         fitted[name] = fit_trajectory_polynomials(samples[name], rates, smallest).split_mesh_segments(parts)
     transcription = transcribe_problem(problem, {name: fit.mesh for name, fit in fitted.items()}, GAUSS)
-    iterate = estimate_multipliers(transcription, problem, fitted, q, near)
+    iterate = estimate_multipliers(transcription, problem, fitted, q, distance)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)
     phases = {name: _replace_phase_trajectory(phase, fitted[name]) for name, phase in phases.items()}
     return Solution(
@@ -301,7 +301,7 @@ def _build_sampled_solution(
         phases=phases,
         free_parameters=problem.parameters,
         parameter_values=q,
-        parameter_multipliers=iterate.lam_x[transcription.parameter_places],
+        parameter_multipliers=iterate.lam_x[transcription.parameter_indices],
         constraint_labels=problem.constraint_labels(),
         constraint_values=gradients.constraints,
         constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
@@ -365,16 +365,16 @@ def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> d
     names = list(problem.phases)
     if len(names) == 1 and not isinstance(t, Mapping):
         t, x, u = ({names[0]: value} for value in (t, x, u))
-    for what, given in (("times", t), ("states", x), ("controls", u)):
-        if not isinstance(given, Mapping):
+    for what, values in (("times", t), ("states", x), ("controls", u)):
+        if not isinstance(values, Mapping):
             raise ProblemError(
                 f"the {what} of a trajectory of '{problem.name}' must be a mapping from the phases {names}, "
                 "since there are several."
             )
-        for name in given:
+        for name in values:
             if name not in names:
                 raise unknown_name_error("phase", name, f"problem '{problem.name}'", names)
-        missing = [name for name in names if name not in given]
+        missing = [name for name in names if name not in values]
         if missing:
             raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
     return {
@@ -426,21 +426,21 @@ def _split_vector_controls(phase: Phase, u: Values, n_times: int) -> Values:
     return controls
 
 
-def _read_sampled_variables(phase: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+def _read_sampled_variables(phase: Phase, layout: Layout, values: Values, n_times: int, kind: str) -> Array:
     what = f"the {kind}s of {phase.label}"
-    if isinstance(given, Mapping):
-        for name in given:
+    if isinstance(values, Mapping):
+        for name in values:
             if name not in layout:
                 raise unknown_name_error(kind, name, phase.label, layout.names)
-        missing = [name for name in layout.names if name not in given]
+        missing = [name for name in layout.names if name not in values]
         if missing:
             raise ProblemError(f"{kind} '{missing[0]}' of {phase.label} is missing: give its samples.")
         rows = [np.zeros((0, n_times))]
         for name in layout.names:
             shape, what = (layout[name].size, n_times), f"{kind} '{name}' of {phase.label}"
-            rows.append(_read_finite_array(given[name], shape, what))
+            rows.append(_read_finite_array(values[name], shape, what))
         return np.vstack(rows)
-    return _read_finite_array(given, (layout.size, n_times), what)
+    return _read_finite_array(values, (layout.size, n_times), what)
 
 
 def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Array:

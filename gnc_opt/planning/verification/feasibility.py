@@ -202,11 +202,11 @@ def _compute_limit_distances(
 
 
 def compute_path_value_changes(
-    s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array, least: float = 1.0
+    s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array, smallest: float = 1.0
 ) -> Array:
     """Return the changes of path constraints by deviations of states and controls (n_paths, n_times).
 
-    Deviations of controls are at least the share ``least`` of the largest one along the phase.
+    Deviations of controls are at least the share ``smallest`` of the largest one along the phase.
     """
     phase_scales = scales.phases[s.phase.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -215,7 +215,7 @@ def compute_path_value_changes(
     by_states = phase_scales.along.support_function((by_state.T * phase_scales.along.reached).T)
     by_states = np.where(by_states > 0, by_states, phase_scales.along.support_function(by_state))
     peak = np.max(phase_scales.deviation, axis=1)[:, None]
-    deviation = np.maximum(sample_control_deviations(s, scales, times), least * peak)
+    deviation = np.maximum(sample_control_deviations(s, scales, times), smallest * peak)
     for vector in s.phase.vector_controls:  # directions always have length 1
         deviation[s.phase.controls.slice(vector.direction)] = peak[s.phase.controls.slice(vector.direction)]
     return np.asarray(np.hypot(by_states, np.linalg.norm(by_control * deviation, axis=1)))
@@ -223,9 +223,9 @@ def compute_path_value_changes(
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
     values, bounds = s.functions.path_constraints(s.times, s.x, s.u), s.phase.path_bounds
-    above = np.maximum(values - bounds.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
-    below = np.maximum(bounds.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
-    cost_effect = np.nan_to_num(above + below) @ s.weights / scales.cost
+    upper_cost = np.maximum(values - bounds.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
+    lower_cost = np.maximum(bounds.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
+    cost_effect = np.nan_to_num(upper_cost + lower_cost) @ s.weights / scales.cost
     locations = [f"phase {s.phase.name}, {label}, effect on the cost" for label in s.phase.path_labels]
     return Worst.find_largest_value(cost_effect, locations.__getitem__)
 
@@ -233,11 +233,11 @@ def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -
 def check_table_ranges(solution: Solution) -> Condition:
     """Return the condition that the trajectory stays within the tables of its models."""
     worst, is_error = NO_VIOLATION, False
-    for out in solution.outside_tables():
-        grid = out.table.grids[out.axis]
-        distance = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst = worst.select_larger(Worst(distance, str(out)))
-        is_error = is_error or out.table.outside == "error"
+    for point in solution.outside_tables():
+        grid = point.table.grids[point.axis]
+        distance = max(grid[0] - point.value, point.value - grid[-1]) / (grid[-1] - grid[0])
+        worst = worst.select_larger(Worst(distance, str(point)))
+        is_error = is_error or point.table.outside == "error"
     result = combine_condition_results(not worst.value, is_error)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
@@ -312,17 +312,17 @@ def _find_boundary_violation(
     if not np.any(excess):
         return NO_VIOLATION
     distance = np.where(np.isfinite(excess), 0.0, np.inf)
-    for step, (near, bends, _) in scales.boundary.items():
-        reach = _cap_scale_by_interval_width(np.sqrt(np.diag(near)), bounds)
-        step_share = solve_quadratic_step_to_limit(excess, reach, bends)
+    for step, (step_gramian, curvature, _) in scales.boundary.items():
+        row_scales = _cap_scale_by_interval_width(np.sqrt(np.diag(step_gramian)), bounds)
+        step_share = solve_quadratic_step_to_limit(excess, row_scales, curvature)
         distance = np.fmax(distance, step_share if step == 1.0 else step * np.fmin(1.0, step_share))
     cost_effect = np.abs(np.nan_to_num(multipliers)) * np.nan_to_num(excess) / scales.cost
-    chosen, together = bounds.is_fixed | (excess > 0), np.inf
+    chosen, joint = bounds.is_fixed | (excess > 0), np.inf
     if np.all(np.isfinite(distance)):
         ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(chosen, chosen)], np.ones(int(np.sum(chosen))))
-        together = float(ellipsoid.normalise_displacement(np.copysign(distance, signed_excess)[chosen]))
+        joint = float(ellipsoid.normalise_displacement(np.copysign(distance, signed_excess)[chosen]))
     i = int(np.argmax(np.fmax(distance, cost_effect)))
-    return Worst(max(together, float(cost_effect[i])), _describe_violation(*labels[i], excess[i]))
+    return Worst(max(joint, float(cost_effect[i])), _describe_violation(*labels[i], excess[i]))
 
 
 def _describe_violation(label: str, unit: str, excess: float) -> str:
@@ -355,8 +355,8 @@ def check_reported_cost(
         if with_weights:
             rows.append(("weight of integral", size * (saved.integral_weights - phase.integral_weights)))
         for what, gap in rows:
-            places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(Worst.find_largest_value(np.abs(gap) / reference, places.__getitem__))
+            labels = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
+            worst = worst.select_larger(Worst.find_largest_value(np.abs(gap) / reference, labels.__getitem__))
     return check_value_within_tolerance(
         "cost",
         worst,

@@ -146,59 +146,59 @@ class _MinimumSearch:
             ]
         )
 
-    def _substitute_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _substitute_controls(self, shares: Array, indices: Indices) -> tuple[Array, Array, Array]:
         """Return times (n,), states and controls at samples, with the shares (group, n) of the group."""
-        columns, (lower, span) = self.chosen[at], self._control_search_ranges
-        u = self.s.u[:, columns]
+        samples, (lower, span) = self.chosen[indices], self._control_search_ranges
+        u = self.s.u[:, samples]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
-        return self.s.times[columns], self.s.x[:, columns], u
+        return self.s.times[samples], self.s.x[:, samples], u
 
-    def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
+    def evaluate_hamiltonian(self, shares: Array, indices: Indices) -> Array:
         """Return H (n,), infinite for inadmissible controls."""
-        s, (times, x, u) = self.s, self._substitute_controls(shares, at)
-        value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
+        s, (times, x, u) = self.s, self._substitute_controls(shares, indices)
+        value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[indices]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_path_constraints):
-            lower, upper = self._path_constraint_limits[:, :, at]
+            lower, upper = self._path_constraint_limits[:, :, indices]
             paths = s.functions.path_constraints(times, x, u)
             is_inside = (paths >= lower) & (paths <= upper)
             admissible &= np.all(is_inside | ~s.functions.mixed_path_constraints[:, None], axis=0)
         return np.where(admissible, value, np.inf)
 
-    def _project_onto_path_constraints(self, shares: Array, at: Indices) -> Array:
+    def _project_onto_path_constraints(self, shares: Array, indices: Indices) -> Array:
         """Return controls that violate a path constraint, moved to its limit by Gauss-Newton steps."""
         functions = self.s.functions
         if not np.any(functions.mixed_path_constraints):
             return shares
-        shares, cols = shares.copy(), np.arange(at.size)
+        shares, cols = shares.copy(), np.arange(indices.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._substitute_controls(shares[:, cols], at[cols])
+            times, x, u = self._substitute_controls(shares[:, cols], indices[cols])
             paths = functions.path_constraints(times, x, u)
-            gap = np.clip(paths, *self._path_constraint_limits[:, :, at[cols]]) - paths
+            gap = np.clip(paths, *self._path_constraint_limits[:, :, indices[cols]]) - paths
             is_violated = np.any(gap != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
             if not np.any(is_violated):
                 break
             cols, gap = cols[is_violated], gap[:, is_violated]
-            rows = self._evaluate_path_constraint_gradients(shares[:, cols], at[cols])
+            rows = self._evaluate_path_constraint_gradients(shares[:, cols], indices[cols])
             inverse = np.linalg.pinv(np.where((gap != 0).T[:, :, None], rows, 0.0), rcond=RANK)
             shares[:, cols] = np.clip(shares[:, cols] + np.einsum("nij,jn->in", inverse, gap), 0.0, 1.0)
         return shares
 
-    def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
+    def _evaluate_path_constraint_gradients(self, shares: Array, indices: Indices) -> Array:
         jacobian = (
-            self.s.functions.path_control_jacobian(*self._substitute_controls(shares, at))[:, self.group]
+            self.s.functions.path_control_jacobian(*self._substitute_controls(shares, indices))[:, self.group]
             * self._control_search_ranges[1]
         )
         return set_nonfinite_to_zero(np.moveaxis(jacobian, 2, 0))
 
     def evaluate_hamiltonian_derivatives(
-        self, shares: Array, at: Indices, mu: Array | None = None
+        self, shares: Array, indices: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._substitute_controls(shares, at)
-        lam, span = s.lam[:, self.chosen[at]], self._control_search_ranges[1]
+        s, group, (times, x, u) = self.s, self.group, self._substitute_controls(shares, indices)
+        lam, span = s.lam[:, self.chosen[indices]], self._control_search_ranges[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
-        mu = np.zeros((len(s.phase.path_labels), at.size)) if mu is None else mu
+        mu = np.zeros((len(s.phase.path_labels), indices.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         curvature = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
         return set_nonfinite_to_zero(gradient), set_nonfinite_to_zero(curvature)
@@ -218,9 +218,9 @@ class _MinimumSearch:
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * step, axis=0), 0.5 * np.einsum("in,nij,jn->n", step, hessian, step)
-        here = s.hamiltonian[self.chosen]
-        magnitudes = np.abs(here) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
-        return bool(np.all(np.abs(value - here - first - second) <= EQUAL * magnitudes))
+        chosen_values = s.hamiltonian[self.chosen]
+        magnitudes = np.abs(chosen_values) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
+        return bool(np.all(np.abs(value - chosen_values - first - second) <= EQUAL * magnitudes))
 
     def minimise_over_vector_control(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
@@ -250,25 +250,25 @@ class _MinimumSearch:
 
     def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
-        shares, at, value, first, best = self._sample_trial_controls()
+        shares, indices, value, first, best = self._sample_trial_controls()
         times = np.unique(np.linspace(0, self.chosen.size - 1, _MAX_STARTS).astype(int))
         starts = np.concatenate([best[times], first[times]])  # the first point of each time is arbitrary
         minimisers, minima = self.minimise_by_newton(
             np.concatenate([shares[:, starts], self._normalised_controls[:, times]], axis=1),
-            np.concatenate([at[starts], times]),
+            np.concatenate([indices[starts], times]),
         )
         points = np.concatenate([shares[:, best], minimisers], axis=1)
-        times = np.concatenate([at[best], at[starts], times])
+        times = np.concatenate([indices[best], indices[starts], times])
         values = np.concatenate([value[best], minima])
-        gain, share = self._compute_hamiltonian_decrease(points, values, times)
+        gain, share = self._compute_decrease(points, values, times)
         if np.max(share) <= tolerance:
             largest = np.zeros((2, self.chosen.size))
             for row, values in zip(largest, (gain, share), strict=True):
                 np.maximum.at(row, times, values)
             return HamiltonianGain(self.s.times[self.chosen], *largest)
         order = np.argsort(-share)[: times.size // 4]
-        top = points[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_hamiltonian_decrease(self._minimise_from_best_points(top, shares[:, best]))
+        best_of = points[:, order[:: max(1, order.size // _STARTS_REFINED)]]
+        return self.average_hamiltonian_decrease(self._minimise_from_best_points(best_of, shares[:, best]))
 
     def _sample_trial_controls(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -291,10 +291,10 @@ class _MinimumSearch:
         value, first_points = self.evaluate_hamiltonian(shares, times), np.arange(n) * (times.size // n)
         return shares, times, value, first_points, first_points + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _minimise_from_best_points(self, others: Array, best: Array) -> Array:
+    def _minimise_from_best_points(self, other_points: Array, best: Array) -> Array:
         times = np.arange(self.chosen.size)
         trials = np.stack(
-            [self._normalised_controls, best, *(np.tile(w[:, None], times.size) for w in others.T)]
+            [self._normalised_controls, best, *(np.tile(w[:, None], times.size) for w in other_points.T)]
         )
         lowest = np.argmin([self.evaluate_hamiltonian(w, times) for w in trials], axis=0)
         return self.minimise_by_newton(trials[lowest, :, times].T, times)[0]
@@ -302,19 +302,17 @@ class _MinimumSearch:
     def average_hamiltonian_decrease(self, shares: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
         all_times, times = np.arange(self.chosen.size), self.s.times[self.chosen]
-        gain, share = self._compute_hamiltonian_decrease(
-            shares, self.evaluate_hamiltonian(shares, all_times), all_times
-        )
+        gain, share = self._compute_decrease(shares, self.evaluate_hamiltonian(shares, all_times), all_times)
         return HamiltonianGain(times, *average_violation_over_time(times, np.stack([gain, share])))
 
-    def _compute_hamiltonian_decrease(self, shares: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+    def _compute_decrease(self, shares: Array, value: Array, indices: Indices) -> tuple[Array, Array]:
         """Return decreases of H by shares (group, n) with a value of H (n,), and their relative sizes (n,)."""
-        gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
-        magnitude = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
+        gain = np.nan_to_num(self.s.hamiltonian[self.chosen[indices]] - value, posinf=0.0)
+        magnitude = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[indices]], np.abs(value))
         resolved = np.maximum(ROUNDING * magnitude, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > resolved, gain, 0.0)
         return gain, gain / (
-            self._compute_largest_hamiltonian_change(shares - self._normalised_controls[:, at]) + gain
+            self._compute_largest_hamiltonian_change(shares - self._normalised_controls[:, indices]) + gain
         )
 
     def _compute_largest_hamiltonian_change(self, moves: Array) -> Array:
@@ -336,37 +334,37 @@ class _MinimumSearch:
             np.maximum(np.max(set_nonfinite_to_zero(change), axis=0), CURVED_MIN_COST * self.cost_rate)
         )
 
-    def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+    def minimise_by_newton(self, shares: Array, indices: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""
-        shares = self._project_onto_path_constraints(shares.copy(), at)
-        value = self.evaluate_hamiltonian(shares, at)
-        active = np.arange(at.size)
+        shares = self._project_onto_path_constraints(shares.copy(), indices)
+        value = self.evaluate_hamiltonian(shares, indices)
+        active = np.arange(indices.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            step = self._compute_newton_step(shares[:, active], at[active])
-            trial_times = np.tile(at[active], len(_STEP_LENGTHS))
+            step = self._compute_newton_step(shares[:, active], indices[active])
+            trial_times = np.tile(indices[active], len(_STEP_LENGTHS))
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
             trials = self._project_onto_path_constraints(np.clip(trials, 0.0, 1.0), trial_times)
             values = self.evaluate_hamiltonian(trials, trial_times).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
-            reached = values[lowest, np.arange(active.size)]
-            better = reached < value[active] - NEGLIGIBLE * self.s.hamiltonian_rounding_level
+            lowest_values = values[lowest, np.arange(active.size)]
+            better = lowest_values < value[active] - NEGLIGIBLE * self.s.hamiltonian_rounding_level
             if not np.any(better):
                 break
             shares[:, active[better]] = trials[:, (lowest * active.size + np.arange(active.size))[better]]
-            value[active[better]] = reached[better]
+            value[active[better]] = lowest_values[better]
             active = active[better]
         return shares, value
 
-    def _compute_newton_step(self, shares: Array, at: Indices) -> Array:
+    def _compute_newton_step(self, shares: Array, indices: Indices) -> Array:
         """Return Newton's step (group, n) along active bounds and path constraints."""
-        gradient, hessian = self.evaluate_hamiltonian_derivatives(shares, at)
+        gradient, hessian = self.evaluate_hamiltonian_derivatives(shares, indices)
         at_bound = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(at_bound, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_path_constraints):
-            rows, mu = self._compute_path_multipliers(shares, at, gradient, free)
+            rows, mu = self._compute_path_multipliers(shares, indices, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
-            hessian = self.evaluate_hamiltonian_derivatives(shares, at, mu)[1]
+            hessian = self.evaluate_hamiltonian_derivatives(shares, indices, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ hessian @ tangent)
         slope = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
         steepest = np.max(np.abs(slope), axis=1)
@@ -376,16 +374,16 @@ class _MinimumSearch:
         return np.asarray(np.where(at_bound, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
     def _compute_path_multipliers(
-        self, shares: Array, at: Indices, gradient: Array, free: Array
+        self, shares: Array, indices: Indices, gradient: Array, free: Array
     ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.path_constraints(*self._substitute_controls(shares, at))
-        lower, upper = self._path_constraint_limits[:, :, at]
+        paths = functions.path_constraints(*self._substitute_controls(shares, indices))
+        lower, upper = self._path_constraint_limits[:, :, indices]
         slack = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= lower + slack, paths >= upper - slack
         active = (at_least | at_most) & functions.mixed_path_constraints[:, None] & np.isfinite(paths)
-        rows = self._evaluate_path_constraint_gradients(shares, at) * free[:, None, :]
+        rows = self._evaluate_path_constraint_gradients(shares, indices) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # limits with inadmissible multipliers are released
             active_rows = np.where(active.T[:, :, None], rows, 0.0)

@@ -203,22 +203,22 @@ def check_legendre_clebsch(
         "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    margins = [_find_least_hessian_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
-    known = [(value, where) for value, where in margins if where is not None]
-    if not known:
-        has_singular_arcs = any(np.any(here) for here in singular)
+    margins = [_find_least_hessian_eigenvalue(s, ~m) for s, m in zip(samples, singular, strict=True)]
+    found = [(value, where) for value, where in margins if where is not None]
+    if not found:
+        has_singular_arcs = any(np.any(m) for m in singular)
         location = "no control between its limits" + (" but along singular arcs" if has_singular_arcs else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, location, meaning, sufficient=True)
-    least, where = min(known, key=lambda item: item[0])
-    result = combine_condition_results(least >= tolerance, not least > -tolerance)
-    return Condition(name, result, -least, -tolerance, where, meaning, sufficient=True)
+    smallest, where = min(found, key=lambda item: item[0])
+    result = combine_condition_results(smallest >= tolerance, not smallest > -tolerance)
+    return Condition(name, result, -smallest, -tolerance, where, meaning, sufficient=True)
 
 
 def _find_least_hessian_eigenvalue(s: PhaseSamples, candidates: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
-    least = np.full(s.times.size, np.inf)
+    smallest = np.full(s.times.size, np.inf)
     bases = compute_free_control_directions(s, _mask_interior_controls(s) & candidates, unit)
     sizes = np.array([basis.shape[1] for basis in bases])
     for size in np.unique(sizes[sizes > 0]):
@@ -227,9 +227,9 @@ def _find_least_hessian_eigenvalue(s: PhaseSamples, candidates: Mask) -> tuple[f
         reduced = np.swapaxes(basis, 1, 2) @ scaled[samples] @ basis
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
-        least[samples[finite]], least[samples[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
-    j = find_lasting_minimum_sample(s.times, least)
-    return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
+        smallest[samples[finite]], smallest[samples[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
+    j = find_lasting_minimum_sample(s.times, smallest)
+    return float(smallest[j]), s.describe_sample(j) if smallest[j] < np.inf else None
 
 
 def check_singular_arcs(

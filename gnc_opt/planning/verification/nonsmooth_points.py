@@ -71,34 +71,34 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
                 if jump is not None:
                     return jump
         candidates.append(_find_longest_interval_on_kink(s, kinks, values))
-    return max(filter(None, candidates), key=lambda rest: rest.of_states, default=None)
+    return max(filter(None, candidates), key=lambda point: point.of_states, default=None)
 
 
-def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
+def check_concave_kinks(kink: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
     """Return the condition; it affects only ``minimum`` if nothing jumps and no other condition ``fails``."""
-    if found is None:
+    if kink is None:
         return Condition(KINKS, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", MEANING)
     if falls:
         meaning = "The cost decreases on both sides of a kink, so a nearby trajectory has a lower cost."
-        return Condition(KINKS, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
-    sufficient = not found.jump and not fails
+        return Condition(KINKS, ConditionResult.FAIL, kink.value, 0.0, kink.where, meaning)
+    sufficient = not kink.jump and not fails
     return Condition(
-        KINKS, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, MEANING, sufficient=sufficient
+        KINKS, ConditionResult.INCONCLUSIVE, kink.value, 0.0, kink.where, MEANING, sufficient=sufficient
     )
 
 
-def mark_condition_inconclusive_at_kink(condition: Condition, found: KinkPoint) -> Condition:
+def mark_condition_inconclusive_at_kink(condition: Condition, kink: KinkPoint) -> Condition:
     """Return a failed condition that requires smoothness as inconclusive.
 
     The minimum principle compares values of H and does not require smoothness in the controls.
     """
-    compares_values = condition.name == "minimum principle" and not found.of_states
+    compares_values = condition.name == "minimum principle" and not kink.of_states
     if condition.result is not ConditionResult.FAIL or compares_values:
         return condition
     return replace(
         condition,
         result=ConditionResult.INCONCLUSIVE,
-        where=f"{condition.where}; not smooth: {found.where}",
+        where=f"{condition.where}; not smooth: {kink.where}",
         loss=None,
         unit="",
     )
@@ -122,22 +122,22 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         axes = moves = scales.phases[s.phase.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.phase.name]) is not None:
             moves = axes @ _build_unit_directions(axes.shape[1])[0]
-        along = _compute_hamiltonian_differences_by_step(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
+        pair = _compute_hamiltonian_differences_by_step(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
         # If sums and differences of directions meet a kink, some of these directions meet it, too.
-        if np.any(_mask_kinks(along[0], along[1], scales.cost)):
-            along = _compute_hamiltonian_differences_by_step(s, moves)
-        pairs.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", along))
-    for where, (coarse, fine) in pairs:
+        if np.any(_mask_kinks(pair[0], pair[1], scales.cost)):
+            pair = _compute_hamiltonian_differences_by_step(s, moves)
+        pairs.append((f"phase {s.phase.name}: H decreases on both sides of a kink in the states", pair))
+    for location, (coarse, fine) in pairs:
         decrease = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
         if decrease > 0:
-            return KinkPoint(decrease, where)
+            return KinkPoint(decrease, location)
     excess = (
         min(map(_find_largest_second_difference_excess, of_ends)) / scales.cost
         if has_boundary_kinks and of_ends[0].size
         else 0.0
     )
-    where = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
-    return KinkPoint(excess / (1 + excess), where, resolved=False) if excess > SMALL else None
+    location = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
+    return KinkPoint(excess / (1 + excess), location, resolved=False) if excess > SMALL else None
 
 
 class _CombinedDirections(EndPoints):
@@ -171,8 +171,8 @@ def _compute_hamiltonian_differences_by_step(s: PhaseSamples, moves: Array) -> l
 
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
     """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero without a decrease."""
-    fall = float(np.max(np.where(_mask_kinks(coarse, fine, cost), -coarse[1], 0.0), initial=0.0))
-    return fall / (cost + fall)
+    decrease = float(np.max(np.where(_mask_kinks(coarse, fine, cost), -coarse[1], 0.0), initial=0.0))
+    return decrease / (cost + decrease)
 
 
 def _mask_kinks(coarse: Array, fine: Array, cost: float) -> Mask:
@@ -206,8 +206,8 @@ def _find_jump_of_state_rates(
     jump = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
     if not jump > tolerance:
         return None
-    where = f"{s.describe_time(float(crossing[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump"
-    return KinkPoint(jump, where, True)
+    location = f"{s.describe_time(float(crossing[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump"
+    return KinkPoint(jump, location, True)
 
 
 def _find_longest_interval_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:

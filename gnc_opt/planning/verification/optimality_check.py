@@ -161,19 +161,19 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND_ORDER]
     checked = [*first, *second]
     if len(nonempty) < len(samples):
-        vanished = next(s.phase.name for s in samples if not s.has_duration)
-        checked = [_mark_condition_of_zero_duration_phase(c, vanished) for c in checked]
+        phase_without_duration = next(s.phase.name for s in samples if not s.has_duration)
+        checked = [_mark_condition_of_zero_duration_phase(c, phase_without_duration) for c in checked]
     if is_least:
         checked = [_resolve_condition_by_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _is_solution_unique(problem, nonempty):
         checked = [_replace_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     skipped = concave is not None or missing.value
-    rough = None if skipped else find_nonsmooth_point(problem, nonempty, tol) or kink
+    nonsmooth_point = None if skipped else find_nonsmooth_point(problem, nonempty, tol) or kink
     failing = any(c.result is ConditionResult.FAIL for c in checked)
-    kinks = check_concave_kinks(concave or rough, failing, falls=concave is not None)
-    if rough is not None:
-        checked = [mark_condition_inconclusive_at_kink(c, rough) for c in checked]
+    kinks = check_concave_kinks(concave or nonsmooth_point, failing, falls=concave is not None)
+    if nonsmooth_point is not None:
+        checked = [mark_condition_inconclusive_at_kink(c, nonsmooth_point) for c in checked]
     if missing.value:
         checked = [
             _mark_condition_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c
@@ -329,8 +329,8 @@ def _create_inconclusive_condition(name: str, where: str, meaning: str) -> Condi
 
 
 def _mark_condition_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
-    marked = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
-    return replace(marked, loss=None, unit="")
+    inconclusive = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
+    return replace(inconclusive, loss=None, unit="")
 
 
 def _mark_condition_of_zero_duration_phase(condition: Condition, phase: str) -> Condition:

@@ -95,9 +95,9 @@ class Curvature:
     def is_positive(self) -> bool:
         return self.value > NEGLIGIBLE and self.share > AT_LIMIT
 
-    def is_negative(self, steep: float) -> bool:
-        """Return whether the curvature is certainly negative: below -``steep``, with a decrease above rounding."""
-        return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
+    def is_negative(self, threshold: float) -> bool:
+        """Return whether the curvature is certainly negative: below -``threshold``, with a decrease above rounding."""
+        return self.value < -threshold and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
 def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rounding: float) -> CriticalCone:
@@ -140,51 +140,51 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     )
     condition = partial(Condition, "second order", tolerance=-NEGLIGIBLE, meaning=meaning, sufficient=True)
     # Less curvature may come from first-order errors, or along singular arcs from oscillation between the nodes.
-    steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else MINOR
-    doubt, pulse_curvature = min(
+    threshold = NOTABLE if any(map(_has_partly_singular_segment, samples)) else MINOR
+    location, pulse_curvature = min(
         (find_cost_reducing_final_pulse(cone, s) for s in samples),
         key=lambda end: end[1],
         default=("", np.inf),
     )
     if pulse_curvature < -MINOR:
-        return condition(ConditionResult.FAIL, -pulse_curvature, where=doubt)
+        return condition(ConditionResult.FAIL, -pulse_curvature, where=location)
     space = cone.unit, cone.extra_rows
-    wide = minimise_curvature(cone.point, cone.strong, *space)
-    if np.isnan(wide.value) or wide.is_positive:
+    strong = minimise_curvature(cone.point, cone.strong, *space)
+    if np.isnan(strong.value) or strong.is_positive:
         if not solution.structure:
-            doubt = _find_bang_bang_control(samples) or doubt
-        result = ConditionResult.INCONCLUSIVE if doubt else ConditionResult.PASS
-        if np.isnan(wide.value):
-            doubt = doubt or "no degree of freedom: the conditions determine all unknowns"
-            return condition(result, 0.0, tolerance=0.0, where=doubt)
-        location = _describe_largest_variation_component(cone.point, solution, wide.direction)
-        return condition(result, -wide.value, where=doubt or location)
+            location = _find_bang_bang_control(samples) or location
+        result = ConditionResult.INCONCLUSIVE if location else ConditionResult.PASS
+        if np.isnan(strong.value):
+            location = location or "no degree of freedom: the conditions determine all unknowns"
+            return condition(result, 0.0, tolerance=0.0, where=location)
+        direction_text = _describe_largest_variation_component(cone.point, solution, strong.direction)
+        return condition(result, -strong.value, where=location or direction_text)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
-    narrow = minimise_curvature(cone.point, cone.strong | cone.weak, *space) if np.any(cone.weak) else wide
-    for curvature in (wide, narrow):
+    full = minimise_curvature(cone.point, cone.strong | cone.weak, *space) if np.any(cone.weak) else strong
+    for curvature in (strong, full):
         is_in_cone = (cone.is_direction_in_cone(sign * curvature.direction, samples) for sign in (1.0, -1.0))
-        if curvature.is_negative(steep) and any(is_in_cone):
-            location = _describe_largest_variation_component(cone.point, solution, curvature.direction)
+        if curvature.is_negative(threshold) and any(is_in_cone):
+            direction_text = _describe_largest_variation_component(cone.point, solution, curvature.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(curvature)
             if cone.is_curvature_multiplier_dependent(curvature.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
-            return condition(result, -curvature.value, where=location + reason)
-    location = _describe_largest_variation_component(cone.point, solution, wide.direction)
-    reason = _explain_inconclusive_curvature(wide, steep)
-    return condition(ConditionResult.INCONCLUSIVE, -wide.value, where=location + reason)
+            return condition(result, -curvature.value, where=direction_text + reason)
+    direction_text = _describe_largest_variation_component(cone.point, solution, strong.direction)
+    reason = _explain_inconclusive_curvature(strong, threshold)
+    return condition(ConditionResult.INCONCLUSIVE, -strong.value, where=direction_text + reason)
 
 
 def _describe_cost_decrease(curvature: Curvature) -> str:
     return f": a variation by {100 * GAIN_STEP_SHARE:.0f} % of the magnitudes lowers the cost by {curvature.gain:.3g}"
 
 
-def _explain_inconclusive_curvature(curvature: Curvature, steep: float) -> str:
-    if curvature.is_negative(steep):
+def _explain_inconclusive_curvature(curvature: Curvature, threshold: float) -> str:
+    if curvature.is_negative(threshold):
         return ": the curvature is negative, but limits may exclude this variation"
-    if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
+    if curvature.value < -threshold and 0.0 < curvature.gain < curvature.least_gain:
         return f"{_describe_cost_decrease(curvature)}, which is within rounding"
     return (
-        f": curvature cannot be distinguished from zero (least eigenvalue -{steep:.0e} to {NEGLIGIBLE:.0e}); "
+        f": curvature cannot be distinguished from zero (least eigenvalue -{threshold:.0e} to {NEGLIGIBLE:.0e}); "
         "no direction that lowers the cost was found: refine the mesh or prescribe the arcs"
     )
 

@@ -74,9 +74,9 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
     result = combine_condition_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
-    what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
-    where = f"{worst.place}: {what}"
-    return Condition(name, result, -worst.least, -tolerance, where, meaning, sufficient=True)
+    reason = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
+    location = f"{worst.place}: {reason}"
+    return Condition(name, result, -worst.least, -tolerance, location, meaning, sufficient=True)
 
 
 def mask_first_order_singular_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
@@ -187,8 +187,8 @@ class SwitchingFunctionDerivatives:
             matrix = ca.vec(ca.densify(ca.jacobian(self._differentiate_switching_functions(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])
             self._functions[j] = function if function.n_instructions() <= MAX_INSTRUCTIONS else None
-        found: Callable[..., Any] | None = self._functions[j]
-        return found
+        derivative: Callable[..., Any] | None = self._functions[j]
+        return derivative
 
     def _differentiate_switching_functions(self, j: int) -> Any:
         while len(self._values) <= j:

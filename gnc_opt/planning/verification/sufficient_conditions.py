@@ -71,16 +71,16 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     known = np.concatenate(
         [np.append(phase.numbers.initial.is_fixed, phase.numbers.final.is_fixed) for phase in phases]
     )
-    waiting, indices = phases, _index_boundary_states(phases)
-    while waiting:
-        ready = [phase for phase in waiting if _is_initial_state_unique(links, known, indices[phase.name][0])]
-        if not ready or not all(
-            _is_dynamics_left_invertible(problem, phase, determined[phase.name]) for phase in ready
+    rest, indices = phases, _index_boundary_states(phases)
+    while rest:
+        unique = [phase for phase in rest if _is_initial_state_unique(links, known, indices[phase.name][0])]
+        if not unique or not all(
+            _is_dynamics_left_invertible(problem, phase, determined[phase.name]) for phase in unique
         ):
             return False
-        for phase in ready:
+        for phase in unique:
             known[np.concatenate(indices[phase.name])] = True
-        waiting = [phase for phase in waiting if phase not in ready]
+        rest = [phase for phase in rest if phase not in unique]
     return True
 
 
@@ -210,8 +210,8 @@ def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence
     for phase in problem.phases.values():
         p = _read_parameter_interval(phase)
         ends = [
-            intersect_bounds(given, phase.numbers.states)
-            for given in (phase.numbers.initial, phase.numbers.final)
+            intersect_bounds(end_states, phase.numbers.states)
+            for end_states in (phase.numbers.initial, phase.numbers.final)
         ]
         boxes += [*ends, *phase.time_ranges(), _bound_phase_integrals(problem, phase, q), p]
     function = build_endpoint_expression_function(problem, "of_ends", ca.vertcat(*expressions))
@@ -232,18 +232,18 @@ def attains_lower_bound(
 
 def _compute_bound_excess(solution: Solution) -> Array:
     problem = solution.need_problem("verify").clone()
-    terms = list(_list_summands(problem.sense * problem.cost))
+    summands = list(_list_summands(problem.sense * problem.cost))
     for phase in problem.phases.values():
         for symbol, integrand in list(phase.integrands.values()):
             integrals = [phase.integral(part) for part in _list_summands(integrand)]
-            terms = [
+            summands = [
                 part
-                for term in terms
+                for term in summands
                 for part in _list_summands(ca.substitute(term, symbol, sum(integrals[1:], integrals[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
-        for k, term in enumerate(terms)
+        for k, term in enumerate(summands)
     }
     problem.clear_cache()
     zeros = {name: np.zeros(len(phase.integrands)) for name, phase in problem.phases.items()}
@@ -254,13 +254,13 @@ def _compute_bound_excess(solution: Solution) -> Array:
             k: replace(v, integrals=zeros[k], integral_weights=zeros[k]) for k, v in solution.phases.items()
         },
         constraint_labels=problem.constraint_labels(),
-        constraint_values=np.zeros(len(terms)),
-        constraint_multipliers=np.zeros(len(terms)),
+        constraint_values=np.zeros(len(summands)),
+        constraint_multipliers=np.zeros(len(summands)),
     )
     split = recompute_stored_data(split)
     scales = EndPoints.from_solution(split, list(split.samples().values())).compute_endpoint_changes()[:-1]
     return np.asarray(
-        (get_endpoint_gradients(split).constraints - _bound_endpoint_functions_from_below(problem, terms))
+        (get_endpoint_gradients(split).constraints - _bound_endpoint_functions_from_below(problem, summands))
         / replace_zeros_by_one(scales)
     )
 

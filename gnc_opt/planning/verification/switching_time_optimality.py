@@ -103,7 +103,7 @@ def _compute_adjacent_arc_duration(
     jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[float, float]]
 ) -> float:
     limits = ends[jump.phase][0], ends[jump.beyond or jump.phase][1]
-    times = [*limits, *(other.time for other in jumps if other.channel == jump.channel)]
+    times = [*limits, *(other_jump.time for other_jump in jumps if other_jump.channel == jump.channel)]
     return float(min(abs(jump.time - t) for t in times if t != jump.time))
 
 
@@ -121,5 +121,5 @@ def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) 
     # Near the end of an arc at a limit, its multiplier may be negligible.
     has_multiplier = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
     inner = ~(lower | upper) & has_multiplier
-    masks = [mask_controls_set_by_active_limits(problem, s, s.times[at]) | inner[:, at] for at in sides]
+    masks = [mask_controls_set_by_active_limits(problem, s, s.times[side]) | inner[:, side] for side in sides]
     return np.asarray(masks[0] | masks[1])

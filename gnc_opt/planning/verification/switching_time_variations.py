@@ -123,26 +123,26 @@ class ShiftedTrajectory:
         return self._compute_second_order_cost_decrease(*_draw_unit_directions(basis, half), steps)
 
     def _compute_second_order_cost_decrease(
-        self, directions: Array, terms: Array, steps: Array
+        self, directions: Array, magnitudes: Array, steps: Array
     ) -> tuple[Worst, bool] | None:
         """Return the largest second-order decrease along directions (n_unknowns, n), the second half negative."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
-        directions, terms = directions / largest, terms / largest**2
+        directions, magnitudes = directions / largest, magnitudes / largest**2
         count = directions.shape[1]
         values, violations = self.integrate_lagrangian_changes(np.hstack([directions, 0.5 * directions]))
         coarse, fine = -values[:count], -values[count:]
         ratio = np.divide(fine, coarse, out=np.zeros(count), where=coarse > 0)
         sizes = np.linalg.norm(violations, axis=0)
         valid = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
-        threshold = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
+        threshold = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * magnitudes)
         certain = (ratio >= DECREASE_RATIOS[0]) & (ratio <= DECREASE_RATIOS[1]) & valid & (fine > threshold)
         # Means of both signs have no first-order errors, so smaller decreases of second order are certain.
         mean, half = (0.5 * (v + np.roll(v, count // 2)) for v in (coarse, fine))
         quadratic = (np.abs(mean - 4 * half) <= 0.1 * mean) & valid & np.roll(valid, count // 2)
         quadratic &= half > EQUAL * max(self.scales.cost, abs(self.solution.objective))
-        certain |= quadratic & (half > 0.25 * MINOR * terms)
-        possible = quadratic & (half > 0.25 * NEGLIGIBLE * terms)
+        certain |= quadratic & (half > 0.25 * MINOR * magnitudes)
+        possible = quadratic & (half > 0.25 * NEGLIGIBLE * magnitudes)
         if not np.any(certain | possible):
             return None
         best = int(np.argmax(np.where(certain if np.any(certain) else possible, coarse, 0.0)))
@@ -153,13 +153,13 @@ class ShiftedTrajectory:
             for jump, amount in ((self.jumps[k], directions[k, best]) for k in largest_shifts)
             if abs(amount) > SMALL
         ]
-        where = (
+        location = (
             f"switch of {', '.join(shifts)}"
             if shifts
             else "free initial states, times and parameters, no switch"
         )
-        where += "" if certain[best] else ": the decrease may be an error of the multipliers"
-        return Worst(float(coarse[best]) / self.scales.cost, where), bool(certain[best])
+        location += "" if certain[best] else ": the decrease may be an error of the multipliers"
+        return Worst(float(coarse[best]) / self.scales.cost, location), bool(certain[best])
 
     def integrate_lagrangian_changes(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and of active end conditions for amounts (n_unknowns, n_columns)."""
@@ -176,9 +176,9 @@ class ShiftedTrajectory:
             initial_states = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_quantity(
                 "start", name, amounts, phase.states.size
             )
-            for other, by_end in self.scales.links.get(name, {}).items():
-                if other in finals:
-                    initial_states = initial_states + by_end @ (finals[other] - finals[other][:, -1:])
+            for later, by_end in self.scales.links.get(name, {}).items():
+                if later in finals:
+                    initial_states = initial_states + by_end @ (finals[later] - finals[later][:, -1:])
             shifted = self._shift_switching_times_of_phase(s, amounts, q)
             x, integrals, limit_terms, active_rows = shifted.integrate_phase(initial_states, self.scales.cost)
             rows += active_rows
@@ -197,8 +197,8 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        box, reach = problem.get_boundary_constraint_bounds(), np.sqrt(np.diag(self.scales.boundary[1.0][0]))
-        violations = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, reach[: nu.size], changes)])
+        box, scales = problem.get_boundary_constraint_bounds(), np.sqrt(np.diag(self.scales.boundary[1.0][0]))
+        violations = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, scales[: nu.size], changes)])
         return (lagrangian - lagrangian[-1])[:-1], violations[:, :-1]
 
     def _sum_variations_of_quantity(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
@@ -273,9 +273,9 @@ class _ShiftedPhase:
             times[self.steps_equal_in_all_columns]
             for times in (self.step_times[:-1, 0], self.step_times[1:, 0])
         )
-        places = np.stack([first, 0.5 * (first + last), last], axis=1)
-        values = _evaluate_applied_controls(self.samples.phase, places.ravel(), np.repeat(places[:, 1], 3))
-        return values.reshape(-1, *places.shape)
+        edges = np.stack([first, 0.5 * (first + last), last], axis=1)
+        values = _evaluate_applied_controls(self.samples.phase, edges.ravel(), np.repeat(edges[:, 1], 3))
+        return values.reshape(-1, *edges.shape)
 
     def evaluate_shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
@@ -306,11 +306,11 @@ class _ShiftedPhase:
         n, n_paths = phase.states.size, len(phase.path_labels)
         states = y[:n]
         values = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
-        terms, t = np.zeros(t.size), np.clip(t, *phase.breaks[[0, -1]])
+        limit_terms, t = np.zeros(t.size), np.clip(t, *phase.breaks[[0, -1]])
         if self._has_active_limits:
-            terms = np.sum(phase.path_multiplier(t) * values[n : n + n_paths], axis=0)
-            terms += np.sum(phase.state_multiplier(t) * states, axis=0)
-        return np.concatenate([values[:n], values[n + n_paths :], terms[None]])
+            limit_terms = np.sum(phase.path_multiplier(t) * values[n : n + n_paths], axis=0)
+            limit_terms += np.sum(phase.state_multiplier(t) * states, axis=0)
+        return np.concatenate([values[:n], values[n + n_paths :], limit_terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
         """Return the results of an integration from states (n, n_columns); the last column is the reference.
@@ -341,19 +341,19 @@ class _ShiftedPhase:
 
 def _evaluate_applied_controls(phase: Any, t: Array, middle: Array) -> Array:
     offset = SAME_TIME * (phase.breaks[-1] - phase.breaks[0])
-    inside = np.where(t < middle, t + offset, np.where(t > middle, t - offset, t))
-    return np.array(phase.applied(np.clip(inside, phase.breaks[0], phase.breaks[-1])))
+    shifted_times = np.where(t < middle, t + offset, np.where(t > middle, t - offset, t))
+    return np.array(phase.applied(np.clip(shifted_times, phase.breaks[0], phase.breaks[-1])))
 
 
 def _list_control_variations(
     problem: Problem, s: PhaseSamples, scales: Scales
 ) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
-    phase, own = s.phase, scales.phases[s.phase.name]
+    phase, sizes = s.phase, scales.phases[s.phase.name]
     times, response = differentiate_final_state_by_controls(s)
     u = phase.applied(times)
-    deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
-    peak = np.max(own.deviation, axis=1)
+    deviation = np.stack([np.interp(times, s.times, row) for row in sizes.deviation]) if u.shape[0] else u
+    peak = np.max(sizes.deviation, axis=1)
     lower, upper = phase.control_bounds.is_near_limits(u, NOTABLE * peak)
     interior = ~(lower | upper)
     interior &= ~mask_controls_set_by_active_limits(problem, s, times)
@@ -402,27 +402,27 @@ def _list_free_variations(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _scale_changes_at_active_limits(values: Array, bounds: Interval, reach: Array, unreached: Array) -> Array:
+def _scale_changes_at_active_limits(values: Array, bounds: Interval, scale: Array, unreached: Array) -> Array:
     """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
 
     Those without reach are in shares of ``unreached`` (n,).
     """
-    size = np.maximum(np.where(reach > 0, reach, unreached), TINY)
+    size = np.maximum(np.where(scale > 0, scale, unreached), TINY)
     active = bounds.is_fixed | np.logical_or(*bounds.is_near_limits(values[:, -1], AT_LIMIT * size))
     return np.asarray((values - values[:, -1:])[active] / size[active, None])
 
 
-def _find_directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
+def _find_directions_keeping_end_conditions(shifts: Array, other_shifts: Array) -> Array:
     """Return a basis (n_unknowns, d) that preserves the end conditions, from their slopes: jumps with their
     corrections, followed by directions without jumps."""
-    inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
+    inverse = np.linalg.pinv(other_shifts, rcond=NEGLIGIBLE)
     norms = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
     free = (
-        _find_null_space((shifts - others @ (inverse @ shifts)) / norms, NOTABLE)
+        _find_null_space((shifts - other_shifts @ (inverse @ shifts)) / norms, NOTABLE)
         / norms[:, None]
         * np.min(norms)
     )
-    without_jumps = _find_null_space(others, RANK)
+    without_jumps = _find_null_space(other_shifts, RANK)
     zeros = np.zeros((free.shape[0], without_jumps.shape[1]))
     return np.block([[free, zeros], [-inverse @ shifts @ free, without_jumps]])
 

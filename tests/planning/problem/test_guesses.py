@@ -246,7 +246,7 @@ def filtered(bandwidth: float) -> go.Problem:
 
 def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind the filter with its lag 1/b the motion is x = 1 + c (t^2 / 2 - t / b + ...) with the command c."""
-    monkeypatch.setattr(guess_simulation, "MOST_EXPLICIT", 3000)
+    monkeypatch.setattr(guess_simulation, "EXPLICIT_MAX_RATES", 3000)
     start = guessed(go.guess_from_simulation(filtered(1e6), {"u": 0.5}), "leg")
     assert start.states[0, -1] == pytest.approx(1 + 0.5 * (4**2 / 2 - 4e-6), abs=1e-4)
     assert start.states[1, -1] == pytest.approx(2.0, abs=1e-4)
@@ -254,8 +254,8 @@ def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """On the line x + v = 0 it slides: sign() is 1 and -1 in turn at every step."""
-    monkeypatch.setattr(guess_simulation, "MOST_EXPLICIT", 2000)
-    monkeypatch.setattr(guess_simulation, "MOST_IMPLICIT", 4000)
+    monkeypatch.setattr(guess_simulation, "EXPLICIT_MAX_RATES", 2000)
+    monkeypatch.setattr(guess_simulation, "IMPLICIT_MAX_RATES", 4000)
     problem = filtered(1e5)
     x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
     with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* reached only t = .* s\): .*tanh"):

@@ -280,8 +280,8 @@ def test_bounds_of_all_variables_and_rows() -> None:
         np.inf,
         9.0,
     ]
-    assert found.lower[program.parameter_places].tolist() == [0.5] and found.upper[
-        program.parameter_places
+    assert found.lower[program.parameter_indices].tolist() == [0.5] and found.upper[
+        program.parameter_indices
     ].tolist() == [2.0]
     rows = program.get_constraint_bounds(problem)
     dynamics = np.concatenate([r.ravel() for r in part.dynamics_rows])
@@ -326,13 +326,13 @@ def test_variables_are_scaled_by_what_the_user_says_or_by_what_is_found() -> Non
     problem.get_phase().guess(time=(0.5, -6.0 + 12.5), q=(0.0, 3.0))
     program = Transcription(problem, {"leg": Mesh.uniform(2, 2)}, "LG")
     start = np.zeros(program.n_variables)
-    start[program.parameter_places] = 1.5
+    start[program.parameter_indices] = 1.5
     found, usual = (choose_variable_scales(program, problem, start, overridden=o) for o in (True, False))
     part = program.parts["leg"].collocation
     assert found[part.boundary_states].tolist() == [[4.0] * 3, [0.25] * 3] and set(
         found[part.point_states][1]
     ) == {0.25}
-    assert set(found[part.point_controls].ravel()) == {8.0} and found[program.parameter_places].tolist() == [
+    assert set(found[part.point_controls].ravel()) == {8.0} and found[program.parameter_indices].tolist() == [
         2.0
     ]
     assert found[program.parts["leg"].times] == pytest.approx([6.5, 6.5])

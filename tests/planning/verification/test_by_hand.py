@@ -370,7 +370,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[collocation.point_states], [points**3, 3 * points**2], atol=1e-12)
     np.testing.assert_allclose(x[collocation.point_controls], [6 * points], atol=1e-12)
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
-    np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
+    np.testing.assert_allclose(x[transcription.parameter_indices], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
     exact = _mask_adjoint_equation_rows(transcription, {"leg": np.zeros(0, dtype=int)})
     weights = compute_quadrature_weights(transcription)[0]
@@ -473,7 +473,7 @@ def test_metric_of_variations_is_an_integral() -> None:
     for places in (collocation.point_states, collocation.point_controls):
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
     np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 0.25, 0.375, 1.0]] * 2)
-    np.testing.assert_allclose(weights[transcription.parameter_places], 1.0)
+    np.testing.assert_allclose(weights[transcription.parameter_indices], 1.0)
 
 
 def test_what_is_brief_counts_by_its_mean() -> None:
@@ -567,8 +567,8 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     time = 2.0 + 4.0 * collocation.normalised_point_times[5]
     describe = _describe_largest_variation_component
     assert describe(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
-    direction[transcription.parameter_places] = -1.0
-    label = transcription.variable_labels[transcription.parameter_places[0]]
+    direction[transcription.parameter_indices] = -1.0
+    label = transcription.variable_labels[transcription.parameter_indices[0]]
     assert describe(point, solution, direction) == label
 
 

@@ -139,10 +139,10 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe_problem(other, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, other, fitted, np.array([2.5]))
-    assert found.lam_x[transcription.parameter_places] == [0.0]
-    assert found.x[transcription.parameter_places] == [2.5]
+    assert found.lam_x[transcription.parameter_indices] == [0.0]
+    assert found.x[transcription.parameter_indices] == [2.5]
     held = estimate_multipliers(transcription, other, fitted, np.array([5.0]))
-    assert held.lam_x[transcription.parameter_places] == pytest.approx([-6.0])
+    assert held.lam_x[transcription.parameter_indices] == pytest.approx([-6.0])
 
 
 @pytest.mark.parametrize("rate", [1.0, 12.0, -12.0])

@@ -303,7 +303,7 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     better = found._normalised_controls.copy()
     better[0] += 0.25
     value = found.evaluate_hamiltonian(better, at)
-    gain, share = found._compute_hamiltonian_decrease(better, value, at)
+    gain, share = found._compute_decrease(better, value, at)
     before, after = hamiltonian(0.5, 1.0, s.times), hamiltonian(1.5, 1.0, s.times)
     np.testing.assert_allclose(gain, np.maximum(before - after, 0.0), atol=1e-12)
     span = s.control_span[0]
@@ -314,11 +314,9 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
         worth,
         rtol=1e-9,
     )
-    none, share = found._compute_hamiltonian_decrease(
-        found._normalised_controls, np.full(at.size, np.inf), at
-    )
+    none, share = found._compute_decrease(found._normalised_controls, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
-    endless, share = found._compute_hamiltonian_decrease(
+    endless, share = found._compute_decrease(
         found._normalised_controls, np.full(at.size, -np.inf), at
     )  # a pole of H is no gain
     assert not np.any(endless) and not np.any(share)

@@ -206,13 +206,13 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
     )
     better, least = np.full((1, 4), 0.5), 6e-7
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
-    gain, share = _MinimumSearch._compute_hamiltonian_decrease(own, better, value, np.array([1, 1, 1, 0]))
+    gain, share = _MinimumSearch._compute_decrease(own, better, value, np.array([1, 1, 1, 0]))
     np.testing.assert_allclose(gain, [2.0, 1.01 * least, 0.0, 0.0], rtol=1e-6)
     np.testing.assert_allclose(share, gain / (2.0 + gain))
     large = np.array([-1e9, -1e9 + 1])
     own.s.hamiltonian = own.s.hamiltonian_term_magnitudes = np.array([-1e9 + 9e-4, 1e9])
     np.testing.assert_allclose(
-        _MinimumSearch._compute_hamiltonian_decrease(own, better[:, :2], large, np.array([0, 1]))[0],
+        _MinimumSearch._compute_decrease(own, better[:, :2], large, np.array([0, 1]))[0],
         [0, 2e9 - 1],
     )
 

@@ -264,7 +264,7 @@ class NormSubstitution(ReformulatedPhase):
         controls = stack_named_bounds(boxes, self.model.controls)
         self.apply_to_phase(phase, replace(numbers, controls=controls, scales=scales, guess=guess))
         phase.paths |= rows
-        phase.record_vector_control(self.control, unit_direction=self.unit_direction)
+        phase.record_vector_control(self.control, on_sphere=self.unit_direction)
         return tuple(rows)
 
     def _constrain_vector_components(self, original: Phase) -> dict[str, Constraint]:
@@ -420,7 +420,7 @@ class UnitVectorSubstitution(ReformulatedPhase):
         lower[rows], upper[rows] = -np.inf, np.inf
         scales = {name: scale for name, scale in numbers.scales.items() if name != self.names[0]}
         self.apply_to_phase(phase, replace(numbers, controls=Interval(lower, upper), scales=scales))
-        phase.record_vector_control(self.control, unit_direction=False)
+        phase.record_vector_control(self.control, on_sphere=False)
         return ()
 
 

@@ -72,7 +72,7 @@ class PhaseStructure:
     @cached_property
     def boundary_arc_controls(self) -> tuple[tuple[int, ...], ...]:
         """Controls that can keep each row on its limit, the most effective ones first."""
-        return tuple(tuple(control for control, _ in own) for own in self.effects)
+        return tuple(tuple(control for control, _ in row_effects) for row_effects in self.effects)
 
     @cached_property
     def active(self) -> Mask:
@@ -155,7 +155,7 @@ class PhaseStructure:
             return False
         kinds = self.kinds[sum(adjacent) - singular[0]]
         rows = np.flatnonzero(self.orders * np.all(self.active[:, adjacent], axis=1))
-        return any(not kinds[other].is_at_limit for i in rows for other in self.boundary_arc_controls[i])
+        return any(not kinds[control].is_at_limit for i in rows for control in self.boundary_arc_controls[i])
 
     def find_control_limit_replacement(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
@@ -185,8 +185,8 @@ class PhaseStructure:
         boundary_arc_controls = self.boundary_arc_controls[state]
         if active != [[True, False], [False, True]] or len(controls) != 1:
             return []
-        others = [i for i in boundary_arc_controls if i not in controls]
-        if controls[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):
+        other_controls = [i for i in boundary_arc_controls if i not in controls]
+        if controls[0] not in boundary_arc_controls or not all(self.regular[i] for i in other_controls):
             return []
         required_sign = pair[first][state].sign * dict(self.effects[state])[controls[0]]
         actual_sign = pair[1 - first][limit].sign * self._get_sign_of_control_effect(limit)
@@ -194,8 +194,8 @@ class PhaseStructure:
 
     def _get_sign_of_control_effect(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
-        own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
-        return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
+        effect_sign = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
+        return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else effect_sign
 
     def mask_rows_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""

@@ -131,11 +131,11 @@ class ContactNodes:
         """
         breaks, boundary_arc_controls = samples.phase.breaks, structure.boundary_arc_controls[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
-        reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
+        distance = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
         for k in range(1, structure.n_subarcs):
             switch_time = structure.times[k]
-            if abs(switch_time - time) >= reach or structure.has_only_control_kinks(k):
+            if abs(switch_time - time) >= distance or structure.has_only_control_kinks(k):
                 continue
             interior_kinds = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.find_changed_arcs(k) if i in boundary_arc_controls]
@@ -279,11 +279,11 @@ def add_missing_contact(constraints: StateConstraints, arc_mesh: ArcMesh) -> Cor
     s, structure = constraints.samples, arc_mesh.structure
     runs = _find_new_contact_nodes(constraints, structure)
     for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
-        added = run.add_contact_arcs(structure, s)
-        if added != structure:
-            at = run.times[int(np.argmax(run.scaled_multipliers))]
+        new_structure = run.add_contact_arcs(structure, s)
+        if new_structure != structure:
+            time = run.times[int(np.argmax(run.scaled_multipliers))]
             label = (*s.phase.path_labels, *s.phase.states.labels)[run.row - structure.n_controls]
-            return added, f"active limit of {label} added at {s.describe_times(at)}"
+            return new_structure, f"active limit of {label} added at {s.describe_times(time)}"
     return None, ""
 
 
@@ -302,15 +302,15 @@ def replace_saturated_arc_controls(constraints: StateConstraints, arc_mesh: ArcM
         if not rows:
             continue
         state, row = rows
-        after = structure.kinds[boundary][state].is_at_limit
-        subarc, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
-        samples_of_arc = np.flatnonzero(subarcs == subarc)[:: -1 if after else 1]
+        is_limit_after = structure.kinds[boundary][state].is_at_limit
+        subarc, kind = boundary - 1 + is_limit_after, structure.kinds[boundary - is_limit_after][row]
+        samples_of_arc = np.flatnonzero(subarcs == subarc)[:: -1 if is_limit_after else 1]
         limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[samples_of_arc]
-        beyond = kind.sign * (samples.u_polynomial[row, samples_of_arc] - limit) / samples.control_scale[row]
-        within = np.flatnonzero(beyond <= 0)
-        if beyond[-1] > NEGLIGIBLE and within.size:
+        excess = kind.sign * (samples.u_polynomial[row, samples_of_arc] - limit) / samples.control_scale[row]
+        within = np.flatnonzero(excess <= 0)
+        if excess[-1] > NEGLIGIBLE and within.size:
             last = slice(within[-1], within[-1] + 2)
-            at_limit = float(np.interp(0.0, beyond[last], times[last]))
+            at_limit = float(np.interp(0.0, excess[last], times[last]))
             start, end = sorted((at_limit, structure.times[boundary]))
             label = samples.phase.controls.labels[row]
             action = f"{label} at its bound from {samples.describe_times(start)}"

@@ -57,7 +57,7 @@ def detect_control_structure(samples: PhaseSamples, determined: Sequence[ArcCont
     ]
     path_jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     effects = _find_control_signs_in_mixed_constraints(samples, regular, path_jacobian)
-    mixed = np.array([bool(own) for own in effects], dtype=bool)
+    mixed = np.array([bool(row_effects) for row_effects in effects], dtype=bool)
     paths = _classify_path_constraint_arcs(samples, mixed, np.any(path_jacobian != 0, axis=2))
     for i in limits.rows:
         for path in limits.rows[i]:

@@ -264,8 +264,8 @@ def _find_constraint_kink_time(samples: PhaseSamples, arc_mesh: ArcMesh, boundar
             return float(times[-1])
         if is_violated[0]:
             k, rows = int(np.argmin(is_violated)), np.array([row])
-            at = find_zero_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
-            return float(at[0])
+            crossing = find_zero_times(evaluate_limit_violation, rows, times[k - 1 : k], times[k : k + 1])
+            return float(crossing[0])
     return arc_mesh.structure.times[boundary]
 
 

@@ -285,7 +285,7 @@ def _copy_multipliers(solution: Solution, other: Solution, arc_meshes: Mapping[s
     return replace(
         solution,
         phases=phases,
-        parameter_multipliers=iterate.lam_x[transcription.parameter_places],
+        parameter_multipliers=iterate.lam_x[transcription.parameter_indices],
         constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
     )
 
@@ -295,14 +295,14 @@ def split_simultaneous_switch_times(arc_mesh: ArcMesh) -> ArcMesh:
     s = arc_mesh.structure
     shared, span = find_simultaneous_switches(s), FREE_INTERVAL * (s.times[-1] - s.times[0])
     times, kinds, subarc_meshes = [s.times[0]], list[tuple[ArcKind, ...]](), list[SubarcMesh]()
-    for k, (own, subarc_mesh) in enumerate(zip(s.kinds, arc_mesh.subarc_meshes, strict=True)):
+    for k, (row, subarc_mesh) in enumerate(zip(s.kinds, arc_mesh.subarc_meshes, strict=True)):
         begins, ends = k in shared, k + 1 in shared
         intervals = [(s.times[k] + span, k)] if begins else []
         intervals += [(s.times[k + 1] - span * ends, 0), (s.times[k + 1], k + 1)][: 1 + ends]
         for end, boundary in intervals:
             changed = s.find_changed_arcs(boundary) if boundary else ()
             times.append(end)
-            kinds.append(tuple(ArcKind.INTERIOR if i in changed else kind for i, kind in enumerate(own)))
+            kinds.append(tuple(ArcKind.INTERIOR if i in changed else kind for i, kind in enumerate(row)))
             subarc_meshes.append(SubarcMesh(1, FREE_INTERVAL_POINTS) if boundary else subarc_mesh)
     touches_by_time = dict(zip(s.times, s.touches, strict=True))
     touches = tuple(touches_by_time.get(t, ()) for t in times)

@@ -95,7 +95,7 @@ def compute_simplified_newton_step(
     problem: Problem,
     s: PhaseSamples,
     switches: Switches,
-    known: NewtonStep,
+    known_step: NewtonStep,
     steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> NewtonStep | None:
@@ -106,14 +106,14 @@ def compute_simplified_newton_step(
     ends = _EndConditions.integrate_to_end_conditions(problem, s, switches, steps, refinement)
     if not np.isfinite(ends.flow.final_state).all():
         return None
-    adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
+    adjoint, slope, _ = ends.compute_lagrangian_derivatives(known_step.multipliers)
     initial_gradient = slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
     gradient = (ends.flow.compute_adjoint_gradient(adjoint) + initial_gradient)[ends.free]
-    change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.residuals)
-    residual = gradient + known.hessian @ change
-    multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, residual, rcond=RANK)[0]
-    cost_change = float((gradient - known.rows.T @ known.multipliers) @ change)
-    gain, matrices = ends.compute_relative_cost_change(cost_change), (known.hessian, known.rows)
+    change = minimise_quadratic_model(known_step.hessian, gradient, known_step.rows, ends.residuals)
+    residual = gradient + known_step.hessian @ change
+    multipliers = known_step.multipliers - np.linalg.lstsq(known_step.rows.T, residual, rcond=RANK)[0]
+    cost_change = float((gradient - known_step.rows.T @ known_step.multipliers) @ change)
+    gain, matrices = ends.compute_relative_cost_change(cost_change), (known_step.hessian, known_step.rows)
     return NewtonStep(ends.expand_change(change), ends.flow, adjoint, multipliers, gain, *matrices, steps)
 
 
@@ -150,8 +150,8 @@ class _EndConditions:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         problem = self.problem
         functions = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
-        both = self.flow.initial[: self.size], self.flow.final_state[: self.size]
-        slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
+        end_points = self.flow.initial[: self.size], self.flow.final_state[: self.size]
+        slope, jacobian, hessian = functions(*end_points, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
     def compute_lagrangian_derivatives(self, multipliers: Array) -> tuple[Array, Array, Array]:
@@ -208,10 +208,10 @@ class BangBangExtremal:
 
     @classmethod
     def integrate_phase(
-        cls, problem: Problem, s: PhaseSamples, switches: Switches, known: NewtonStep
+        cls, problem: Problem, s: PhaseSamples, switches: Switches, known_step: NewtonStep
     ) -> BangBangExtremal | None:
         """Return a phase integrated with the matrices and the grid of a known step; None if it is not finite."""
-        step = compute_simplified_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
+        step = compute_simplified_newton_step(problem, s, switches, known_step, known_step.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     def is_cost_accurate(self, accuracy: float) -> bool:
@@ -239,7 +239,7 @@ class BangBangExtremal:
         """Costates (n_states, n_steps + 1)."""
         return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.phase.states.size]
 
-    def build_solution(self, known: Solution) -> Solution:
+    def build_solution(self, known_solution: Solution) -> Solution:
         """Return the trajectory, which may exceed limits, as a solution with one point per integration step."""
         s, grid = self.s, self.integration_grid_times
         first_samples = STEP_PARTS * np.flatnonzero(np.diff(self.step_times) > 0)
@@ -260,7 +260,7 @@ class BangBangExtremal:
             lam_start=self.costates[:, segment_samples[:, 0]],
             lam_end=self.costates[:, segment_samples[:, -1]],
         )
-        return _build_solution_from_bang_bang_flow(known, phase, self.step, self.step.flow)
+        return _build_solution_from_bang_bang_flow(known_solution, phase, self.step, self.step.flow)
 
     @cached_property
     def missing_bang_arc(self) -> tuple[int, float, float] | None:
@@ -296,12 +296,12 @@ def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> Piecewis
 # --- collocation solution --------------------------------------------------------------------------------
 
 
-def collocate_trajectory(known: Solution, extremal: BangBangExtremal, arc_mesh: ArcMesh) -> Solution:
+def collocate_trajectory(known_solution: Solution, extremal: BangBangExtremal, arc_mesh: ArcMesh) -> Solution:
     """Return the converged trajectory of a one-phase solution at the collocation points of a mesh with one degree.
 
     It may exceed limits. The mesh is that of the structure after the last Newton step.
     """
-    problem, s, n = known.need_problem("refine"), extremal.s, extremal.s.phase.states.size
+    problem, s, n = known_solution.need_problem("refine"), extremal.s, extremal.s.phase.states.size
     phase, mesh, boundary_times = s.phase, arc_mesh.build_mesh(), arc_mesh.structure.times
     breaks = boundary_times[0] + np.asarray(mesh.breaks) * (boundary_times[-1] - boundary_times[0])
     breaks[-1] = boundary_times[-1]
@@ -342,15 +342,15 @@ def collocate_trajectory(known: Solution, extremal: BangBangExtremal, arc_mesh: 
         lam_end=lam[:, steps::steps],
     )
     return replace(
-        _build_solution_from_bang_bang_flow(known, collocated, extremal.step, flow),
+        _build_solution_from_bang_bang_flow(known_solution, collocated, extremal.step, flow),
         structure=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
-        provenance={**known.provenance, "mesh": f"{phase.name} {mesh}"},
+        provenance={**known_solution.provenance, "mesh": f"{phase.name} {mesh}"},
     )
 
 
 def _build_solution_from_bang_bang_flow(
-    known: Solution, phase: PhaseSolution, step: NewtonStep, flow: BangBangFlow
+    base: Solution, phase: PhaseSolution, step: NewtonStep, flow: BangBangFlow
 ) -> Solution:
     """Return a one-phase solution with the trajectory of a phase and the costs of its flow, without active limits."""
     n = phase.states.size
@@ -366,7 +366,7 @@ def _build_solution_from_bang_bang_flow(
     )
     found = replace(found, point_costates=phase.lam(found.point_times))
     nu = step.multipliers[int(np.sum(phase.final_bounds.is_fixed)) :]
-    return compute_cost_and_multipliers(replace(known, phases={phase.name: found}, constraint_multipliers=nu))
+    return compute_cost_and_multipliers(replace(base, phases={phase.name: found}, constraint_multipliers=nu))
 
 
 def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> bool:
@@ -380,11 +380,11 @@ def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> boo
         (phase.duration_bounds, phase.duration, s.span),
     )
     excess = [(box.compute_bound_violation(np.atleast_1d(value)), scale) for box, value, scale in limits]
-    is_feasible = all(np.all(beyond <= AT_LIMIT * scale) for beyond, scale in excess)
-    beyond = phase.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
-    is_feasible &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
-    beyond = phase.state_bounds.compute_bound_violation(s.x)
-    return is_feasible and bool(np.all(beyond < AT_LIMIT * state_scale[:, None]))
+    is_feasible = all(np.all(violation <= AT_LIMIT * scale) for violation, scale in excess)
+    violation = phase.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
+    is_feasible &= not np.any(violation) or bool(np.all(violation < AT_LIMIT * s.path_scale[:, None]))
+    violation = phase.state_bounds.compute_bound_violation(s.x)
+    return is_feasible and bool(np.all(violation < AT_LIMIT * state_scale[:, None]))
 
 
 def compute_cost_and_multipliers(trajectory: Solution) -> Solution:

@@ -70,13 +70,13 @@ def find_optimal_switching_times(
     solution: Solution,
     structure: PhaseStructure,
     accuracy: float = GUESS_ACCURACY,
-    known: NewtonStep | None = None,
+    known_step: NewtonStep | None = None,
 ) -> tuple[PhaseStructure, BangBangExtremal] | None:
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
     The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
     is below the accuracy. Near an optimum the cost depends on the switching times to second order: their error,
-    relative to the phase, is of the order of the square root of the accuracy. Matrices and grid of a ``known`` step, at
+    relative to the phase, is of the order of the square root of the accuracy. Matrices and grid of a ``known_step``, at
     the optimum of a similar problem with this structure, are tried first.
 
     Returns the structure after the remaining Newton step, and the trajectory before it, which may be less accurate or
@@ -88,9 +88,9 @@ def find_optimal_switching_times(
         return None
     switches = _list_control_switches(s, structure)
     steps, extremal = FLOW_INITIAL_STEPS, None
-    if known is not None:
-        steps = known.steps
-        extremal = _iterate_near_known_step(problem, s, switches, known, accuracy, steps)
+    if known_step is not None:
+        steps = known_step.steps
+        extremal = _iterate_near_known_step(problem, s, switches, known_step, accuracy, steps)
     if extremal is None or extremal.missing_bang_arc is not None:
         extremal = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while extremal is not None and extremal.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
@@ -125,10 +125,10 @@ def _iterate_to_optimal_switches(
 
 
 def _iterate_near_known_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: NewtonStep, accuracy: float, steps: int
+    problem: Problem, s: PhaseSamples, switches: Switches, known_step: NewtonStep, accuracy: float, steps: int
 ) -> BangBangExtremal | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
-    step = compute_simplified_newton_step(problem, s, switches, known, steps)
+    step = compute_simplified_newton_step(problem, s, switches, known_step, steps)
     return _iterate_newton_steps(problem, s, switches, step, accuracy)
 
 
@@ -200,10 +200,10 @@ def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switche
     piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
     at_upper = piecewise.controls == s.phase.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
-    others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
+    other_kinds = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
     nonempty = np.diff(piecewise.times) > 0
     times = tuple(map(float, piecewise.times[np.append(nonempty, True)]))
-    columns = tuple(map(tuple, np.vstack([kinds, others]).T[nonempty]))
+    columns = tuple(map(tuple, np.vstack([kinds, other_kinds]).T[nonempty]))
     return replace(old, times=times, kinds=columns, touches=()).merge_equal_adjacent_arcs()
 
 
@@ -211,10 +211,10 @@ def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
     """Return the unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
     arcs: list[tuple[int, int]] = []
     for i in range(switches.first.size):
-        own = np.flatnonzero(switches.channels == i)
-        own = own[np.argsort(switches.times[own], kind="stable")]
-        places = [0, *(int(k) + 1 for k in own), switches.times.size + 1]
-        arcs += itertools.pairwise(places)
+        channel_switches = np.flatnonzero(switches.channels == i)
+        channel_switches = channel_switches[np.argsort(switches.times[channel_switches], kind="stable")]
+        unknowns = [0, *(int(k) + 1 for k in channel_switches), switches.times.size + 1]
+        arcs += itertools.pairwise(unknowns)
     return arcs
 
 
