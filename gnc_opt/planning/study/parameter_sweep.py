@@ -293,7 +293,7 @@ class _GridLineTask:
                     raise KeyboardInterrupt
                 outputs = functions.outputs if solution.status.solved else {}
                 more = {name: float(output(solution)) for name, output in outputs.items()}
-            except MISTAKES:
+            except PROGRAMMING_ERRORS:
                 raise
             except GncOptError as error:  # invalid grid point
                 yield _GridPoint(None, str(error), {})
