@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,8 +93,7 @@ class Scales:
 
     ``cost`` is the positive cost scale; ``change_of_cost`` includes changes that cancel to first order. ``parameters``
     are deviations of the free parameters. ``links`` are derivatives of the start of a phase in ends of earlier ones, by
-    both names; under "" the projection onto its free directions. ``boundary`` are the Gramian of boundary constraints
-    and end states over each share of the reach, second differences, and terms (`EndPoints.compute_boundary_gramian`).
+    both names; under "" the projection onto its free directions. ``boundary`` are the changes by share of the reach.
     """
 
     phases: Mapping[str, PhaseScales]
@@ -104,7 +103,7 @@ class Scales:
     ends: EndPoints
     reach: Mapping[str, Reach]
     links: Mapping[str, Mapping[str, Array]]
-    boundary: Mapping[float, tuple[Array, Array, Array]]
+    boundary: Mapping[float, BoundaryChanges]
 
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
@@ -162,7 +161,7 @@ class Scales:
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         boundary = {
-            step: ends.compute_boundary_gramian(reach, parameters, step) for step in (1.0, *REACH_SHARES)
+            step: ends.compute_boundary_changes(reach, parameters, step) for step in (1.0, *REACH_SHARES)
         }
         return cls(phases, cost, curvature, parameters, ends, reach, links, boundary)
 
@@ -303,7 +302,16 @@ def _differentiate_lagrangian(solution: Solution, samples: list[PhaseSamples], q
     return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
-# --- ends -------------------------------------------------------------------------------------------------
+class BoundaryChanges(NamedTuple):
+    """Changes of boundary constraints, then of the initial and final states of each phase (n_rows in all).
+
+    ``gramian`` (n_rows, n_rows) of the first differences, norms ``curvature`` (n_rows,) of the second differences, and
+    magnitudes ``terms`` (n_rows,) of which the values are sums.
+    """
+
+    gramian: Array
+    curvature: Array
+    terms: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,13 +361,10 @@ class EndPoints:
         change = self._constraint_and_cost_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
-    def compute_boundary_gramian(
-        self, reach: Mapping[str, Reach], parameters: Array, share: float
-    ) -> tuple[Array, Array, Array]:
-        """Return the Gramian of constraints and end states over a share of the reach, second differences, and terms.
-
-        Rows are the constraints, and the initial and final states of each phase. Fixed initial states are independent.
-        """
+    def compute_boundary_changes(
+        self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
+    ) -> BoundaryChanges:
+        """Return the changes over a share of the reach; fixed initial states are independent."""
         moves = [
             self._list_end_displacements_along_axes(reach),
             self._expand_endpoint_displacements({-1: np.diag(parameters)}),
@@ -379,7 +384,7 @@ class EndPoints:
         starts = [s.phase.initial_bounds.is_fixed * reach[s.phase.name].start.radius for s in self.samples]
         fixed = np.concatenate([np.zeros(first.shape[0]), *(np.append(r, 0.0 * r) for r in starts)])
         curvature = np.pad(np.linalg.norm(second, axis=1), (0, sizes.size))
-        return rows @ rows.T + np.diag((share * fixed) ** 2), curvature, term_magnitudes
+        return BoundaryChanges(rows @ rows.T + np.diag((share * fixed) ** 2), curvature, term_magnitudes)
 
     @property
     def _constraint_and_cost_weights(self) -> Array:

@@ -252,8 +252,8 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
     bounds = solution.need_problem("verify").get_boundary_constraint_bounds()
-    gramian, curvature, _ = scales.boundary[1.0]
-    changes = (np.sqrt(np.diag(gramian)) + 0.5 * curvature)[: nu.size]
+    boundary = scales.boundary[1.0]
+    changes = (np.sqrt(np.diag(boundary.gramian)) + 0.5 * boundary.curvature)[: nu.size]
     violation = (
         _compute_complementarity_products(nu[:, None], values[:, None], bounds, changes[:, None])[:, 0]
         / scales.cost

@@ -277,9 +277,6 @@ def _append_epigraph_parameters(problem: Problem, samples: Mapping[str, SampledP
     return q
 
 
-# --- a solution with estimated multipliers ----------------------------------------------------------------
-
-
 def _build_sampled_solution(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, distance: float = ACTIVE
 ) -> Solution:
@@ -356,9 +353,6 @@ def _find_arcs_at_control_bounds(phase: PhaseSolution) -> list[Arc]:
             else:
                 arcs.append(Arc(phase.name, label, kind, float(start), float(end)))
     return arcs if phase.mesh.movable else []
-
-
-# --- reading arguments ------------------------------------------------------------------------------------
 
 
 def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, SampledPhase]:

@@ -306,20 +306,22 @@ def _find_boundary_violation(
     labels: list[tuple[str, str]], values: Array, multipliers: Array, bounds: Interval, scales: Scales
 ) -> Worst:
     """Return the distance of end states and boundary constraints to their limits, or its effect on the cost."""
-    gramian, _, terms = scales.boundary[1.0]
+    whole = scales.boundary[1.0]
     signed_excess = np.maximum(values - bounds.upper, 0.0) - np.maximum(bounds.lower - values, 0.0)
-    excess = np.where(np.isnan(values), np.inf, np.maximum(np.abs(signed_excess) - ROUNDING * terms, 0.0))
+    excess = np.maximum(np.abs(signed_excess) - ROUNDING * whole.terms, 0.0)
+    excess[np.isnan(values)] = np.inf
     if not np.any(excess):
         return NO_VIOLATION
     distance = np.where(np.isfinite(excess), 0.0, np.inf)
-    for step, (step_gramian, curvature, _) in scales.boundary.items():
-        row_scales = _cap_scale_by_interval_width(np.sqrt(np.diag(step_gramian)), bounds)
-        step_share = solve_quadratic_step_to_limit(excess, row_scales, curvature)
-        distance = np.fmax(distance, step_share if step == 1.0 else step * np.fmin(1.0, step_share))
+    for share, changes in scales.boundary.items():
+        row_scales = _cap_scale_by_interval_width(np.sqrt(np.diag(changes.gramian)), bounds)
+        step = solve_quadratic_step_to_limit(excess, row_scales, changes.curvature)
+        distance = np.fmax(distance, step if share == 1.0 else share * np.fmin(1.0, step))
     cost_effect = np.abs(np.nan_to_num(multipliers)) * np.nan_to_num(excess) / scales.cost
     chosen, joint = bounds.is_fixed | (excess > 0), np.inf
     if np.all(np.isfinite(distance)):
-        ellipsoid = Ellipsoid.from_gramian(gramian[np.ix_(chosen, chosen)], np.ones(int(np.sum(chosen))))
+        gramian = whole.gramian[np.ix_(chosen, chosen)]
+        ellipsoid = Ellipsoid.from_gramian(gramian, np.ones(int(np.sum(chosen))))
         joint = float(ellipsoid.normalise_displacement(np.copysign(distance, signed_excess)[chosen]))
     i = int(np.argmax(np.fmax(distance, cost_effect)))
     return Worst(max(joint, float(cost_effect[i])), _describe_violation(*labels[i], excess[i]))

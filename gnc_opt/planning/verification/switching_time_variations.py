@@ -197,8 +197,9 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        box, scales = problem.get_boundary_constraint_bounds(), np.sqrt(np.diag(self.scales.boundary[1.0][0]))
-        violations = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, scales[: nu.size], changes)])
+        scales = np.sqrt(np.diag(self.scales.boundary[1.0].gramian))[: nu.size]
+        box = problem.get_boundary_constraint_bounds()
+        violations = np.vstack([*rows, _scale_changes_at_active_limits(psi, box, scales, changes)])
         return (lagrangian - lagrangian[-1])[:-1], violations[:, :-1]
 
     def _sum_variations_of_quantity(self, kind: str, phase: str, amounts: Array, size: int) -> Array:

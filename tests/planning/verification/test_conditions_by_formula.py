@@ -141,8 +141,8 @@ def test_boundary_values_by_slope_curvature_and_price() -> None:
         values: Any, price: float = 0.0, first: Any = (2.0, 4.0), second: Any = (2.0, 0.0)
     ) -> Worst:
         box, prices = interval([-1.0, 0.0], [1.0, 0.0]), np.array([-price, 0.0])
-        boundary = {1.0: (np.diag(first) ** 2, np.array(second), np.array([0.0, 1e12]))}
-        own = fake(cost=5.0, boundary=boundary)
+        changes = fake(gramian=np.diag(first) ** 2, curvature=np.array(second), terms=np.array([0.0, 1e12]))
+        own = fake(cost=5.0, boundary={1.0: changes})
         return feasibility._find_boundary_violation(
             [("p", "m"), ("q", "")], np.array(values), prices, box, own
         )
@@ -194,7 +194,7 @@ def test_multipliers_of_inactive_boundary_constraints() -> None:
         constraint_labels=("p", "q"),
         constraint_multipliers=np.array([2.0, -1.5]),
     )
-    own = fake(cost=5.0, boundary={1.0: (np.eye(2), np.array([2.0, 2.0]), None)})
+    own = fake(cost=5.0, boundary={1.0: fake(gramian=np.eye(2), curvature=np.array([2.0, 2.0]))})
     ends = fake(constraints=np.array([8.0, 0.0]))
     worst = costates._check_boundary_multipliers(solution, ends, own)
     assert (worst.value, worst.where) == (pytest.approx(1.5 * 2 / 5), "multiplier of constraint q")

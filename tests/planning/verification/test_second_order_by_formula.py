@@ -327,7 +327,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
             cost=2.0,
             phases=phases,
             links={"b": {"a": np.array([[2.0]]), "c": None}},
-            boundary={1.0: (np.diag([0.0625, 0.0]), None, None)},
+            boundary={1.0: fake(gramian=np.diag([0.0625, 0.0]))},
         ),
     )
 

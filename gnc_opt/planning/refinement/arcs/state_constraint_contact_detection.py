@@ -239,9 +239,6 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
     return arc_controls
 
 
-# --- detection on a mesh --------------------------------------------------------------------------------------
-
-
 def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
     """Return the structure with the contacts that multipliers and constraint values of a mesh show.
 
@@ -269,9 +266,6 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         if np.any(scaled_multipliers > 0):
             contacts.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
     return [run for run in contacts if not run.is_touch_at_phase_end(structure, constraints.samples)]
-
-
-# --- corrections ----------------------------------------------------------------------------------------------
 
 
 def add_missing_contact(constraints: StateConstraints, arc_mesh: ArcMesh) -> Correction:

@@ -293,9 +293,6 @@ def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> Piecewis
     return PiecewisePolynomial(breaks, (nodes,) * halves.size, tuple(node_values.transpose(1, 0, 2)))
 
 
-# --- collocation solution --------------------------------------------------------------------------------
-
-
 def collocate_trajectory(known_solution: Solution, extremal: BangBangExtremal, arc_mesh: ArcMesh) -> Solution:
     """Return the converged trajectory of a one-phase solution at the collocation points of a mesh with one degree.
 
