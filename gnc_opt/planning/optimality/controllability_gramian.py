@@ -127,6 +127,7 @@ def compute_control_gramians(
 
 
 def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
+    """Return Gramians of the states reached by deviations of controls, and of parameters if ``columns`` are given."""
     phase = s.phase
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))

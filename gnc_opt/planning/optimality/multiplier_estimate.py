@@ -314,6 +314,7 @@ def _fit_multipliers_with_right_signs(
 def _sample_trajectory_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
+    """Return the variables of a nonlinear program (n_variables,) for given trajectories and free parameters."""
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
         collocation, phase = part.collocation, fitted[name]

@@ -328,6 +328,7 @@ def _count_augmented_states(s: PhaseSamples) -> int:
 def _differentiate_boundary_states(
     samples: list[PhaseSamples], unknowns: SwitchUnknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
+    """Return derivatives of initial and final states of all flows, then of the free parameters, in scaled unknowns."""
     rows = []
     for s in samples:
         flow, columns = flows[s.phase.name], unknowns.columns[s.phase.name]

@@ -196,6 +196,7 @@ class PhaseFunctions:
     def _evaluate_function_by_name(
         self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
+        """Return the values (n_values, N) of one of ``functions``; multipliers that are not given are zero."""
         function = self.functions[name]
         zeros = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
         arguments = *multipliers, *zeros, self.weights, self.p, self.q
@@ -223,6 +224,7 @@ def compile_phase_functions(
 
 
 def _build_hamiltonian_and_rate_functions(problem: Problem, phase: Phase) -> dict[str, Any]:
+    """Return the Functions of (t, x, u, lam, mu, weights, p, q) by name; matrices are stacked row by row."""
     t, x, u, p = phase.model.symbolic_arguments()
     q = problem.parameter_symbols()
     lam = ca.SX.sym("lam", x.shape[0])

@@ -85,6 +85,7 @@ class DivisibleProblem(PhaseOwner, Protocol):
 def divide_phase(
     problem: DivisibleProblem, phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
+    """Return the parts of a phase, divided at times (s) or at fractions of its duration."""
     _check_phase_can_be_divided(problem, phase)
     begin, end, total = phase.numbers.initial_time, phase.numbers.final_time, phase.numbers.duration
     if begin is None or end is None:
@@ -99,12 +100,12 @@ def divide_phase(
         )
         problem.phases[part.name] = part
     problem.clear_cache()
-    for one, other in pairwise(parts):
-        problem.link(one, other, states=phase.model.states.names)
+    for before, after in pairwise(parts):
+        problem.link(before, after, states=phase.model.states.names)
     duration = parts[-1].final_time - phase.initial_time
     if fractions is not None:
-        for part, share, mark in zip(parts[1:], np.ravel(fractions), boundary_times[1:], strict=False):
-            if not mark.is_fixed[0]:
+        for part, share, time in zip(parts[1:], np.ravel(fractions), boundary_times[1:], strict=False):
+            if not time.is_fixed[0]:
                 elapsed = part.initial_time - phase.initial_time
                 problem.constrain(f"start of {part.name}", elapsed - float(share) * duration, equals=0.0)
     if total.lower[0] > 0.0 or np.isfinite(total.upper[0]):

@@ -197,6 +197,7 @@ def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> Phase
 
 
 def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval) -> UnboundedAngles:
+    """Return the controls that are angles with bounds of at least one turn."""
     width, zeros = box.upper - box.lower, np.zeros(box.lower.size)
     angles = UnboundedAngles(zeros - np.inf, zeros + np.inf, zeros)
     bounded = np.isfinite(width) & (width > 0)

@@ -108,6 +108,7 @@ class _Refinement:
         return not record.solved or record.error > self.tol, error
 
     def refine_mesh_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
+        """Solve on refined meshes until the error is small enough or a limit is reached; ``show`` gets each record."""
         show(self.found[-1].record)
         for _ in range(self.budget.max_passes):
             if time.perf_counter() > self.budget.deadline:

@@ -214,6 +214,7 @@ class PhaseCostates:
                 self._split_density_and_impulse(k, k + 1, j.stop - 1, self.end, -1.0)
 
     def _split_density_and_impulse(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+        """Replace a costate jump at a segment boundary by a multiplier density and an impulse of the active bounds."""
         bounded, rows = self.bounded[:, point], self.active[:, k] & self.nonzero[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of

@@ -220,6 +220,7 @@ def _check_second_order_of_switch_sequence(
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
 ) -> SecondOrderResult:
+    """Return the least curvature of the Lagrangian in the critical cone, for one order of simultaneous switches."""
     pieces = {name: switches[name].build_piecewise_control(order) for name, order in orders.items()}
     coarse, fine = (
         SwitchingTimeProblem.from_integrated_controls(solution, samples, ends, unknowns, pieces, n)

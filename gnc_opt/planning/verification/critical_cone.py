@@ -181,6 +181,7 @@ class CriticalCone:
         return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
     def _compute_largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
+        """Return the largest outward change of each state and path constraint at its limit, relative to its size."""
         part = self.point.transcription.parts[s.phase.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.phase.mesh.breaks, s.phase.breaks)

@@ -225,6 +225,7 @@ def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, cha
 
 
 def _build_hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
+    """Return the Function of d2H/(du dx), and of the same with zero costates, which leaves the integrands."""
 
     def build_mixed_derivative_function() -> Any:
         slope = s.functions.functions["switching"]

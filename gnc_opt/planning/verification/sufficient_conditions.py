@@ -206,6 +206,7 @@ def compute_cost_lower_bound(problem: Problem) -> float:
 
 
 def _bound_endpoint_functions_from_below(problem: Problem, expressions: Sequence[Any]) -> Array:
+    """Return lower bounds (n,) of functions of the ends for all end values and parameters within bounds."""
     q, boxes = problem.get_parameter_bounds(), []
     for phase in problem.phases.values():
         p = _read_parameter_interval(phase)
@@ -231,6 +232,7 @@ def attains_lower_bound(
 
 
 def _compute_bound_excess(solution: Solution) -> Array:
+    """Return the differences of the cost terms and their lower bounds (n_terms,), relative to their variations."""
     problem = solution.need_problem("verify").clone()
     summands = list(_list_summands(problem.sense * problem.cost))
     for phase in problem.phases.values():

@@ -83,6 +83,7 @@ def sample_guess(
 
 
 def _sample_linear_guess(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
+    """Return values (size, N) between a start and an end value."""
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."

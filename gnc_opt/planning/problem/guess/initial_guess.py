@@ -279,6 +279,7 @@ def _find_linked_phases(phase: Phase, name: str) -> list[_LinkedState]:
 
 
 def _guess_linked_states(chain: list[_LinkedState], phase: Phase) -> tuple[Array, Array]:
+    """Return initial and final values (n,) of a state in one phase of a chain, interpolated between known values."""
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
         next_known, time_to_next = _find_next_known_linked_state(chain[index:])

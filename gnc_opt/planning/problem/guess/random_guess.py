@@ -154,6 +154,7 @@ def _draw_random_times(
 def _draw_random_states(
     phase: Phase, linear: Array, magnitudes: Array, rng: np.random.Generator, min_amplitude: float
 ) -> Array:
+    """Return states (n_states, n_fractions) with smooth random perturbations, zero at fixed ends."""
     numbers = phase.numbers
     smallest, largest = max(min_amplitude, AMPLITUDE_RANGE[0]), AMPLITUDE_RANGE[1]
     amplitude = magnitudes * smallest * (largest / smallest) ** rng.uniform()

@@ -229,6 +229,7 @@ def _build_simulation_stop_event(
 def _compile_expression(
     problem: Problem, phase: Phase, expression: Any, what: str
 ) -> Callable[[float, Array], Array]:
+    """Return (t, x) -> values (n,) of an expression without controls, at the guessed parameters."""
     t, x, u, p = phase.model.symbolic_arguments()
     problem.check_foreign_symbols(phase, expression, what)
     if phase.model.controls.size and ca.depends_on(expression, u):
