@@ -32,6 +32,7 @@ NOT_OURS = {
     "docs/reference/solver_options.md": {"nlpsol"},
     "docs/howto/limits.md": {"u_rate"},  # of the control u
     "docs/start/installation.md": {"cc", "data", "dev", "docs", "report", "test"},
+    "docs/learn/reading_the_verdict.md": {"also"},  # a printed line
     "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
     "docs/control/campaigns.md": {"plant.mass", "initial.q", "motor.tau", "SeedSequence([seed, i])"},
     "docs/control/sliding_mode.md": {"switching_gain_exceeded"},
