@@ -144,8 +144,6 @@ class Linearization:
             derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
             yield LinearStep(X, outputs, *derivatives)
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     @cached_property
     def linearised_state_indices(self) -> list[int]:
         """Indices in X of the linearised entries."""

@@ -216,8 +216,6 @@ class _CovariancePropagation:
         self._store_state_covariance(X, scatter)
         return self._build_linear_covariance()
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
         places = self.linearization.linearised_state_layout.split_vector_by_name(
             np.arange(scatter.state_dimension)

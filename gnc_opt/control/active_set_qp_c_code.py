@@ -121,8 +121,6 @@ class QpCode:
         ]
         return "\n".join([*lines, numbers.substitute_c_float_type(_SOURCE.read_text(encoding="ascii"))])
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     @property
     def _n_qp_constraints_per_step(self) -> int:
         rows = self.rows

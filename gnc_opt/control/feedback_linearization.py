@@ -163,6 +163,7 @@ def _build_integrator_chain_matrices(errors: OutputErrors) -> tuple[Array, Array
 def _place_error_poles(
     errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]
 ) -> Array:
+    """Return the gains (n_outputs, n_derivatives) of output errors and their derivatives."""
     a, b = _build_integrator_chain_matrices(errors)
     gain = np.zeros((errors.n_outputs, len(_list_output_derivative_orders(errors))))
     for column, (i, k) in enumerate(_list_output_derivative_orders(errors)):

@@ -70,6 +70,7 @@ def compute_stability_margins(a: Array, b: Array, gain: Array, dt: float | None 
 def _compute_channel_margins(
     a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
 ) -> tuple[float, float, float, float]:
+    """Return gain margins upwards and downwards, phase margin (rad) and delay margin (s) of one control channel."""
     others = [j for j in range(b.shape[1]) if j != i]
     dynamics = a - b[:, others] @ gain[others]
     within = mask_states_on_input_output_path(dynamics, b[:, [i]], gain[[i]])

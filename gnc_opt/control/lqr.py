@@ -256,6 +256,7 @@ def _solve_augmented_riccati(
     integrals: _IntegralStates,
     dt: float | None,
 ) -> tuple[LqrSolution, tuple[Array, Array]]:
+    """Return the LQR of the plant with integral states, and its matrices A and B; sampled with a step ``dt``."""
     (a, b), (q, r, n) = plant, cost
     labels = deviation.errors.labels + integrals.memory.labels
     k, c = integrals.n_states, integrals.matrix
@@ -284,6 +285,7 @@ def _solve_augmented_riccati(
 def _build_lqr_law(
     model: Model, deviation: ErrorDynamics, gain: Array, integrals: _IntegralStates, limits: Authority | None
 ) -> tuple[object, object, Layout]:
+    """Return the law and its initial state as CasADi Functions, and the names of its memory."""
     states, controls = model.states.size, model.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
     r = ca.SX.sym("r", states + controls + (1 if integrals.n_states else 0))

@@ -290,8 +290,6 @@ class _MpcLaw:
         first = clip_to_limits(u_ff[:m], self.rows.lower, self.rows.upper)
         return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     def _create_mpc_law_symbols(self) -> tuple[Any, Any, Any, Any]:
         sizes = (1, self.deviation.model.states.size, self.signals.size, self.rows.lower.size + 1)
         t, x, r, z = (ca.MX.sym(name, size) for name, size in zip("txrz", sizes, strict=True))

@@ -152,8 +152,6 @@ class PredictionHorizon:
             room += [rows.state_upper[i] - x[i] for i in rows.upper_limited_states]
         return ca.mmin(ca.vertcat(*room)) >= 0
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     def _predict_tracking_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
         found = [(ca.DM(e_0.shape[0], self.n_qp_variables), e_0)]
@@ -178,6 +176,7 @@ class PredictionHorizon:
     def _build_state_limit_constraints(
         self, x_ref: Any, errors: list[tuple[Any, Any]]
     ) -> list[tuple[Any, Any, Any]]:
+        """Return (row, lower, upper) of the scaled state limits at every step of the horizon."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in (

@@ -279,6 +279,7 @@ class Reference(StrictAttributes):
     def _evaluate_piecewise_reference(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
+        """Return values (n, N) at times, after the end those of ``tail`` (n,) if given."""
         times = np.atleast_1d(read_float_array(t, "the time of a reference"))
         slack = SAME_TIME * max(self.duration, 1.0)
         if np.any(times < self.initial_time - slack):

@@ -76,6 +76,7 @@ def _build_sliding_mode_command(
     switching: SwitchingControl,
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[MemoryEntry], Any]:
+    """Return the memory of the law and its command."""
     n, dt = errors.n_outputs, switching.dt
     control_input, twist = switching.solve_for_reaching_law_input(s, drift)
     memory = [
@@ -376,6 +377,7 @@ def design_sliding_mode(
 
 
 def _compute_sliding_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
+    """Return the characteristic polynomial of each output's surface, constant term first."""
     coefficients = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
         slope = _read_sliding_surface_slope(errors, slopes, label, i) if r > 1 else []

@@ -171,6 +171,7 @@ class _PlantMatrices:
 def _integrate_riccati_equation(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
+    """Return the Riccati matrix backwards from ``last`` as (start, end, function of time) of each smooth interval."""
     q, r, n = cost
     inverse = np.linalg.inv(r)
     start, end = reference.initial_time, reference.final_time

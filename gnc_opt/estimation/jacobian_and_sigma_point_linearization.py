@@ -82,6 +82,7 @@ class SigmaRegression:
     def _propagate_sigma_points(
         self, f: Map, source: Space, target: Space, x: Any, P: Any
     ) -> tuple[Any, Any, Any, Any]:
+        """Return mean, regressed spread, remaining covariance, and the root of ``P``."""
         root = factorise_semidefinite(P)
         square, c = 3.0, math.sqrt(3.0)
         centre = f(x)

@@ -357,6 +357,7 @@ class _NeighbouringGuidance:
         return ca.vertcat(*found)
 
     def build_guidance_law_functions(self, n_signals: int) -> tuple[Any, Any]:
+        """Return the law and its initial state as CasADi Functions of ``n_signals`` reference signals."""
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)

@@ -302,6 +302,7 @@ def table(
 
 
 def _read_table_axes(x: Any, data: Array, name: str) -> list[Array]:
+    """Return the grid of each axis, checked against the values."""
     nested = isinstance(x, (list, tuple)) and len(x) > 0 and np.ndim(x[0]) > 0
     axes = list(x) if nested else [x]
     if len(axes) != data.ndim:

@@ -347,8 +347,6 @@ class CSourceFiles:
         """Return the C source of a program that reads measurements and writes commands."""
         return self.numbers.substitute_c_float_type(self._fill_c_file_template("driver.c"))
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     def _fill_c_file_template(self, name: str) -> str:
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {

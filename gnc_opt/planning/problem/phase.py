@@ -435,8 +435,6 @@ class Phase(StrictAttributes):
             arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions))
         )
 
-    # --- internals --------------------------------------------------------------------------------
-
     @property
     def label(self) -> str:
         """ "phase 'leg' of problem '...'", for messages."""

@@ -432,8 +432,6 @@ class Problem(ProblemData):
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
         return compute_problem_fingerprint(self)
 
-    # --- internals --------------------------------------------------------------------------------
-
     def require_mutable(self) -> None:
         """Raise `ProblemError` if the problem belongs to a solution."""
         if self._frozen:

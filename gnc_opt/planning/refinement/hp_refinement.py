@@ -177,9 +177,6 @@ class _Refinement:
         return options
 
 
-# --- next mesh of a phase ----------------------------------------------------------------------------------
-
-
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""
 
@@ -271,9 +268,6 @@ def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
     resolved = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(resolved.size), np.log10(np.maximum(resolved, floor)), 1)[0]
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
-
-
-# --- kinks: switches and ends of arcs on bounds or path constraints ---------------------------------------
 
 
 @dataclass(frozen=True)

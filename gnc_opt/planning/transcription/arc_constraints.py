@@ -158,9 +158,6 @@ def _fix_variables_at_arc_limits(
     box.lower[released], box.upper[released] = -np.inf, np.inf
 
 
-# --- junctions of state constraints -------------------------------------------------------------------------
-
-
 def list_arc_junctions(phase: Phase) -> tuple[Junction, ...]:
     """Return the junctions of the state constraints of a phase."""
     return () if phase.numbers.arcs is None else phase.numbers.arcs.junctions
@@ -202,9 +199,6 @@ def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction)
     return JunctionControls(
         places[:, points], build_lagrange_interpolation_matrix(rule.points, [-float(junction.tangent)])[0]
     )
-
-
-# --- smooth controls ----------------------------------------------------------------------------------------
 
 
 def list_polynomial_controls(phase: Phase) -> tuple[SmoothControl, ...]:
