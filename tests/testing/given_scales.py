@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from testing.internals import Ellipsoid, PhaseSamples, PhaseScales, Scales
+from testing.internals import BoundaryChanges, Ellipsoid, PhaseSamples, PhaseScales, Scales
 
 
 def given_scales(
@@ -29,5 +29,5 @@ def given_scales(
     reach, bends, terms = (
         np.append(row, np.full(states, v)) for row, v in zip(constraints, (radius, 0.0, 0.0), strict=True)
     )
-    boundary = {1.0: (np.diag(reach**2), bends, terms)}
+    boundary = {1.0: BoundaryChanges(np.diag(reach**2), bends, terms)}
     return Scales(phases, cost, cost, np.asarray(parameters, dtype=float), ends, {}, {}, boundary)

@@ -48,7 +48,12 @@ from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTer
 from gnc_opt.planning.optimality.active_state_constraints import PureStateConstraints, StateConstraints
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, PhaseScales, Scales
+from gnc_opt.planning.optimality.optimality_check_scales import (
+    BoundaryChanges,
+    EndPoints,
+    PhaseScales,
+    Scales,
+)
 from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.optimality.trajectory_interpolation import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
