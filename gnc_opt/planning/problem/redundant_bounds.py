@@ -48,8 +48,8 @@ def find_monotone_states(problem: ProblemData, phase: Phase, *, undriven: bool =
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     if not np.any(bounded):
         return bounded, bounded
-    derivative, is_driven = phase.model.state_derivative(), np.full_like(bounded, undriven)
-    is_driven[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
+    derivative, is_counted = phase.model.state_derivative(), np.full_like(bounded, undriven)
+    is_counted[ca.jacobian_sparsity(derivative, phase.model.symbols("control")).row()] = True
     rates = problem.memoize(
         ("rates", phase.name), lambda: build_function_along_phase(problem, phase, "rates", derivative)
     )
@@ -67,8 +67,8 @@ def find_monotone_states(problem: ProblemData, phase: Phase, *, undriven: bool =
                 *np.where(relaxed, (wider.lower, wider.upper), (numbers.states.lower, numbers.states.upper))
             )
             rate = bound_function_values(rates, [time, box, *others])
-            rising &= (rate.lower == 0) & (is_driven | (rate.upper == 0))
-            falling &= (rate.upper == 0) & (is_driven | (rate.lower == 0))
+            rising &= (rate.lower == 0) & (is_counted | (rate.upper == 0))
+            falling &= (rate.upper == 0) & (is_counted | (rate.lower == 0))
             if np.array_equal(relaxed, rising | falling):
                 break
             relaxed = rising | falling
