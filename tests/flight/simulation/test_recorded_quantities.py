@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import SAMPLES, compute_percentile_envelope, select_quantity_sample_steps
+from testing.internals import MAX_SAMPLES, compute_percentile_envelope, select_quantity_sample_steps
 from testing.loops import double_integrator, feedback
 from testing.models import dynamics
 
@@ -147,10 +147,10 @@ def test_peaks_of_a_swing_and_a_fall_have_closed_forms(span):
 
 
 def test_what_is_kept_does_not_grow_with_the_run(campaign):
-    assert campaign.samples.shape == (3, SAMPLES, 60)
+    assert campaign.samples.shape == (3, MAX_SAMPLES, 60)
     assert campaign.sample_times[[0, -1]] == pytest.approx([0.0, 30.0])
     assert select_quantity_sample_steps(7).tolist() == list(range(8))
-    assert select_quantity_sample_steps(864_000).size == SAMPLES
+    assert select_quantity_sample_steps(864_000).size == MAX_SAMPLES
 
 
 def test_quantities_change_no_bit_of_a_run(campaign):

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 from testing.internals import (
     DEFAULT_MESH,
-    HELD_TIME_FACTORS,
+    FIXED_TIME_FACTORS,
     build_nlp_point_from_guess,
     generate_feasibility_initial_points,
     has_trajectory_guess,
@@ -128,7 +128,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     start = build_nlp_point_from_guess(transcription, boxless)
     starts = list(generate_feasibility_initial_points(transcription, boxless, start))
     times = [float(variables[held[0]]) for variables, held in starts if held.size]
-    assert times == pytest.approx(HELD_TIME_FACTORS), "of 1 s, the default duration"
+    assert times == pytest.approx(FIXED_TIME_FACTORS), "of 1 s, the default duration"
 
 
 def test_a_guessed_trajectory_is_the_users_own() -> None:

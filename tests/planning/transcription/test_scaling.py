@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import (
-    NEARBY,
+    NEARBY_SHIFT,
     UNBOUNDED_STATE_MAX_RATIO,
     Scheme,
     Transcription,
@@ -197,7 +197,7 @@ def test_a_slope_that_vanishes_at_the_guess_is_seen_nearby(unit: float, guess: f
     problem.minimize(leg.final_state("x"))
     transcription, rows, _ = scales_of(problem)
     slopes = 1 / (rows[transcription.parts["leg"].collocation.path_rows] * unit * 5.0)
-    assert np.all(slopes <= 2 * (abs(guess) + NEARBY * 5.0))
+    assert np.all(slopes <= 2 * (abs(guess) + NEARBY_SHIFT * 5.0))
     assert np.max(slopes) > (0.1 if guess == 0.0 else 2 * abs(guess))
     assert np.all(slopes >= 2 * abs(guess) * (1 - 1e-9))
 

@@ -9,7 +9,7 @@ import pytest
 from testing.constructed_solutions import cart, interval
 from testing.internals import (
     DEFAULT_MESH,
-    NEARBY,
+    NEARBY_SHIFT,
     SCHEMES,
     FixedArcs,
     Interval,
@@ -345,7 +345,7 @@ def test_variables_are_scaled_by_what_the_user_says_or_by_what_is_found() -> Non
 def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     """By what the derivatives are at the guess and near it; scales of the user do not move the place that is near.
 
-    q >= -50 is far away: by a tenth of the distance, at the guess or at q (1 + NEARBY c), c the cosine of its place.
+    q >= -50 is far away: by a tenth of the distance, at the guess or at q (1 + NEARBY_SHIFT c), c the cosine of its place.
     """
     problem = problem_of_all()
     problem.get_phase().guess(time=(0.5, 6.5), q=(0.0, 3.0), a=(2.0, 2.0))
@@ -361,8 +361,8 @@ def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     mixed, pure = rows[part.path_rows]
     assert mixed == pytest.approx(1 / max(scales[part.point_states[1, 0]], 8.0))
     places = part.point_states[0]
-    beside = 1 + NEARBY * np.cos(np.pi * (3 - np.sqrt(5)) * places)
+    beside = 1 + NEARBY_SHIFT * np.cos(np.pi * (3 - np.sqrt(5)) * places)
     assert pure == pytest.approx(10.0 / (50.0 + start[places] * np.maximum(1.0, beside)))
-    assert objective > 0 and NEARBY == 0.1
+    assert objective > 0 and NEARBY_SHIFT == 0.1
     again = choose_row_scales(program, problem.with_scale(v=1e-3), start, scales)
     assert again[1] == pytest.approx(objective) and again[0] == pytest.approx(rows)
