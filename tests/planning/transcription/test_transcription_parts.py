@@ -345,7 +345,7 @@ def test_variables_are_scaled_by_what_the_user_says_or_by_what_is_found() -> Non
 def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     """By what the derivatives are at the guess and near it; scales of the user do not move the place that is near.
 
-    q >= -50 is far away: by a tenth of the distance, at the guess or at q (1 + NEARBY_SHIFT c), c the cosine of its place.
+    q >= -50 is far away: by a tenth of the distance, at the guess or at q (1 + 0.1 c), c the cosine of its place.
     """
     problem = problem_of_all()
     problem.get_phase().guess(time=(0.5, 6.5), q=(0.0, 3.0), a=(2.0, 2.0))
