@@ -97,7 +97,7 @@ def minimise_actuator_effort(
     """
     effects = read_effectiveness_matrix(matrix, failed, what)
     columns = []
-    for i, unit in enumerate(sign * np.eye(effects.shape[0])):
+    for i, unit in enumerate(sign * np.eye(len(effects))):
         result = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
         if not result.success:
             raise DesignError(

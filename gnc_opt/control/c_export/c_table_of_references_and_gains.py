@@ -63,7 +63,7 @@ def tabulate_references_and_gains(
         raise ArgumentError(
             f"the schedule of '{controller.name}' has no known end: give export_c(..., span=(t_0, t_f))."
         )
-    ends = read_float_array(interval, "the span of a schedule").reshape(-1)
+    ends = read_float_array(interval, "the span of a schedule").ravel()
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
         raise ArgumentError(
             f"the span of a schedule is {quote_value(interval)}: give finite times (t_0, t_f), t_0 <= t_f."

@@ -362,7 +362,7 @@ class EndPoints:
         return 0.5 * max_norm(change)
 
     def compute_boundary_changes(
-        self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
+        self, reach: Mapping[str, Reach], parameters: Array, share: float
     ) -> BoundaryChanges:
         """Return the changes over a share of the reach; fixed initial states are independent."""
         moves = [

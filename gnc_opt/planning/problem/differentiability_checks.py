@@ -252,7 +252,7 @@ def evaluate_functions_along_phase(
     columns = (*phase.model.states.labels, *phase.model.controls.labels, *problem.parameters.labels)
     functions = {}
     for kind, rows, function in _get_phase_functions_with_jacobian(problem, phase):
-        outputs = function(times.reshape(1, -1), states, controls, phase.model.parameter_values, parameters)
+        outputs = function(times[None], states, controls, phase.model.parameter_values, parameters)
         functions[kind] = FunctionValues.read_casadi_function_values(kind, rows, columns, outputs)
     return functions
 

@@ -515,7 +515,7 @@ class Phase(StrictAttributes):
     def _record_nonaffine_vector_controls(self, expression: Any) -> None:
         for vector in self.vector_controls:
             direction = self.model.symbol(vector.direction)
-            if any(ca.which_depends(expression, direction, 2, True)):
+            if any(ca.which_depends(expression, direction, 2)):
                 self._nonaffine_vectors.add(vector.name)
 
     def path_expression(self) -> Any:

@@ -278,7 +278,7 @@ def minimise_curvature(point: ProgramPoint, fixed: Mask, unit: Any = None, extra
 
 
 def _find_direction_of_least_curvature(
-    space: NullSpace, hessian: Any, steep: bool = True, shift: float = HESSIAN_SHIFT
+    space: NullSpace, hessian: Any, steep: bool, shift: float = HESSIAN_SHIFT
 ) -> Array | None:
     """Return the direction of smallest curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]

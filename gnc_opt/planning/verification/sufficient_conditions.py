@@ -126,7 +126,7 @@ def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mas
     if a is None or b is None or h is None:
         return False
     s = _PENCIL_TEST_POINT * max(max_norm(a), 1.0)
-    pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
+    pencil = np.block([[a - s * np.eye(len(a)), b], [h]])
     return _has_full_column_rank(pencil)
 
 
