@@ -74,25 +74,6 @@ def test_interior_point(mesh: go.Mesh, scheme: str) -> None:
 
 
 @on_linear_meshes
-def test_free_initial_time(mesh: go.Mesh, scheme: str) -> None:
-    """min 2 (t_f - t_0) + 1/2 int u^2, t_f = 1: the start is at 1/2, where H = dPhi/dt_0 = -2."""
-    problem, leg = one_phase("free start", integrator(), initial=(-3.0, 0.9), final=1.0)
-    leg.initial(x=0.0)
-    leg.final(x=1.0)
-    problem.minimize(running(leg, "energy") + 2 * leg.duration)
-    solution = solve(problem, mesh, scheme)
-    assert solution.phase().initial_time == pytest.approx(0.5, abs=1e-9)
-    truth = Truth(
-        2.0,
-        states={"x": lambda t: 2 * (t - 0.5)},
-        controls={"u": constant(2.0)},
-        costates={"x": constant(-2.0)},
-        hamiltonian=constant(-2.0),
-    )
-    assert_matches(solution, truth, 1e-9)
-
-
-@on_linear_meshes
 def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> None:
     """min (t_0 - 1)^2 + int u^2 / 2 + 2 dt, duration >= 4/5: the limit pushes with -(2 - 1 / (2 T^2))."""
     problem = go.Problem("least duration")

@@ -406,7 +406,7 @@ def by_mass(limit: Any) -> go.Problem:
 
 def test_an_acceleration_limit_by_hand_is_solved_without_bounds_of_the_thrust() -> None:
     r"""|a| <= 1 in 3 s takes the \Delta v of `FUEL`, and m = m_0 exp(-0.05 \Delta v), as m' / m = -0.05 |a|."""
-    solution = go.solve(by_mass(lambda T, m: ca.sumsqr(T / m) <= 1.0), mesh="16x4", tol=None)
+    solution = go.solve(by_mass(lambda T, m: ca.sumsqr(3 * T / m) <= 9.0), mesh="16x4", tol=None)
     assert solution.objective == pytest.approx(40 * np.exp(-0.05 * FUEL), rel=2e-4)
 
 
