@@ -135,7 +135,7 @@ class CriticalCone:
         """Return the cone, with active limits determined from the gradient of the Lagrangian.
 
         By continuity the variation of a limited quantity vanishes at the ends of an active arc too: a node at the limit
-        is fixed if it shares a segment with a node with a multiplier.
+        is fixed if it shares a segment with a node with a multiplier, or a control beside such a segment.
         """
         strong, weak = [], []
         of_variables, of_rows = _list_nlp_variables_along_segments(point)
@@ -207,15 +207,14 @@ class CriticalCone:
 
 
 def _list_nlp_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
-    """Return the variables of each state along each segment and of each control, and the rows of path constraints."""
+    """Return the states along each segment, the controls there and 1 % of the phase beyond, and the path rows."""
     variables, rows = [], []
     for part in point.transcription.parts.values():
         collocation = part.collocation
+        times, breaks = collocation.normalised_point_times, collocation.mesh.breaks
         for k in range(collocation.mesh.segments):
-            variables += [
-                *_list_segment_states(collocation, k),
-                *_select_nlp_variables_of_segment(collocation, collocation.point_controls, k),
-            ]
+            near = (times > breaks[k] - NOTABLE) & (times < breaks[k + 1] + NOTABLE)
+            variables += [*_list_segment_states(collocation, k), *collocation.point_controls[:, near]]
             rows += [*_select_nlp_variables_of_segment(collocation, collocation.path_rows, k)]
     return variables, rows
 
@@ -225,7 +224,7 @@ def _extend_active_limits_along_arcs(
 ) -> None:
     """Fix, in place, nodes at the same limit as a node of their line with a multiplier."""
     for line in lines:
-        limits = values[line[nonzero[line]]]
+        limits = np.unique(values[line[nonzero[line]]])
         is_near_limit = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
         active[line[is_near_limit]], doubtful[line[is_near_limit]] = True, False
 

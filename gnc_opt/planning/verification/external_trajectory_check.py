@@ -99,8 +99,9 @@ INTERPOLATION_MIN_GROWTH, MAX_HALVINGS, MIN_SAMPLES = 4.0, 5, 8
 number of halvings of the steps would remove it; third: smallest number of samples of a phase for this test."""
 
 SMALLER_DISTANCES = 1e-7, 1e-9
-"""Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one if an
-estimated multiplier or costate jump is wrong, because dense samples near touch points are closer than the default."""
+"""Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one for
+feasible trajectories that are not minima with it: dense samples near limits are closer than the default, and would have
+multipliers."""
 
 Values = Any
 """Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
@@ -180,11 +181,10 @@ def _check_sampled_trajectory(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
-    path_limited = any(phase.path_labels for phase in problem.phases.values())
-    uncertain = ("stationarity", "active set") if path_limited else ("active set",)
-    for distance in SMALLER_DISTANCES if any(c.name in uncertain for c in verdict.failed) else ():
+    feasible = all(c not in verdict.failed for c in verdict.condition_groups["feasible"])
+    for distance in SMALLER_DISTANCES if feasible and not verdict.minimum else ():
         retry = verify(_build_sampled_solution(problem, samples, q, distance=distance), tol=tol)
-        if not retry.failed:
+        if retry.minimum or (verdict.failed and not retry.failed):
             return replace(retry, estimated=True)
     parts = 1
     while verdict["stationarity"].result is ConditionResult.FAIL and parts < MAX_INTERVAL_PARTS:
