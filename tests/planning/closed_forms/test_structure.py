@@ -97,19 +97,6 @@ def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> Non
     assert solution.phase().duration_multiplier == pytest.approx(-push, abs=1e-8)
 
 
-@on_linear_meshes
-def test_final_time_at_its_limit(mesh: go.Mesh, scheme: str) -> None:
-    """With t_f <= 2/5 where 1/2 is best, H = dJ/dt_f = 2 - 1/(2 t_f^2) < 0 and the limit pushes with -H."""
-    problem, leg = one_phase("late is better", integrator(), initial=0.0, final=(0.1, 0.4))
-    leg.initial(x=0.0)
-    leg.final(x=1.0)
-    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + 2))
-    solution = solve(problem, mesh, scheme)
-    truth = Truth(2.05, costates={"x": constant(-2.5)}, hamiltonian=constant(-1.125))
-    assert_matches(solution, truth, 1e-9)
-    np.testing.assert_allclose(solution.phase().time_multipliers, [0.0, 1.125], atol=1e-8)
-
-
 def test_maximisation(scheme: str) -> None:
     """Cake eating: max int exp(-t/20) log c, k' = k/10 - c, k from 1 to 0; costates are those of -J."""
     model, _k, c = dynamics("cake", "k", "c", lambda k, c: {k: 0.1 * k - c})

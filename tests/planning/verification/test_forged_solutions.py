@@ -327,6 +327,7 @@ def limited(scheme: str = "LG") -> go.Solution:
 def test_multipliers_of_times_are_what_h_is_worth(scheme: str) -> None:
     solution = limited(scheme)
     leg = solution.phase()
+    assert_known(solution, go.verify(solution))
     assert go.verify(solution).ok and np.min(np.abs(leg.time_multipliers)) > 1.0
     for change in (np.array([0.0, 0.01]), np.array([0.01, 0.0])):
         assert "stationarity" in failed(

@@ -107,8 +107,10 @@ def coupled_touch(concavity: float, as_path: bool) -> go.Verdict:
 
 
 def test_a_touch_moves_with_the_switches_before_it() -> None:
-    assert coupled_touch(5.9, as_path=True)["switching times"].result is not go.ConditionResult.FAIL
-    assert coupled_touch(6.1, as_path=True)["switching times"].result is go.ConditionResult.FAIL
+    right, wrong = (coupled_touch(concavity, as_path=True) for concavity in (5.9, 6.1))
+    assert_known(right, wrong)
+    assert right["switching times"].result is not go.ConditionResult.FAIL
+    assert wrong["switching times"].result is go.ConditionResult.FAIL
 
 
 @pytest.mark.parametrize("as_path", [False, True])
