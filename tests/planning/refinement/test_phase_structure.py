@@ -31,6 +31,14 @@ def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them(
     assert made("uuii", **paths).find_controls_fixed_by_limits(0) == set()
 
 
+def test_a_saturated_control_leaves_the_state_constraint_to_another_one() -> None:
+    holders = {"n_controls": 2, "orders": (0, 0, 1), "regular": (False, True, False)}
+    for pieces, found in (("siu", "uiu"), True), (("siu", "uuu"), False), (("siu", "uii"), False):
+        for ordered in (pieces, pieces[::-1]):
+            odd = made(*ordered, effects=((), (), ((0, 1), (1, 1))), **holders)
+            assert odd.has_saturated_control(0, 1) is found
+
+
 def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
     structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch_point(1, 2.5, LOW)
     found = structure.list_arcs("leg", ("a", "q"))
