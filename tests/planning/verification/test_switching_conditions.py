@@ -296,10 +296,11 @@ def test_orders_pieces_and_precedences() -> None:
 
 
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
-    times = np.array([5e-8, 0.3, 0.3 + 6e-8, 0.3 + 1.2e-7, 0.5, 1 - 5e-8])
+    unit = 2.0**-20
+    times = 2.0 + unit * np.array([0.5, 300.0, 300.5, 301.0, 600.0, 601.0])
     before = times.copy()
-    joined = _equalise_nearby_switch_times(times, 1e-7, np.array([0.0, 1.0]))
-    np.testing.assert_array_equal(joined, [0.0, 0.3, 0.3, 0.3 + 1.2e-7, 0.5, 1.0])
+    joined = _equalise_nearby_switch_times(times, unit, 2.0 + unit * np.array([0.0, 601.5]))
+    np.testing.assert_array_equal((joined - 2.0) / unit, [0.0, 300.0, 300.0, 301.0, 600.0, 601.5])
     np.testing.assert_array_equal(times, before)
 
 
