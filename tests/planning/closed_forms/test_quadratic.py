@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.closed_forms import (
-    LINEAR_MESHES,
     SCHEMES,
     SMOOTH_MESHES,
     Truth,
@@ -19,42 +18,13 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 
 pytestmark = pytest.mark.parametrize("scheme", SCHEMES)
-on_linear_meshes = pytest.mark.parametrize("mesh", LINEAR_MESHES.values(), ids=LINEAR_MESHES)
 on_smooth_meshes = pytest.mark.parametrize("mesh", SMOOTH_MESHES.values(), ids=SMOOTH_MESHES)
-
-
-def double_integrator(final_time: float) -> tuple[go.Problem, go.Phase]:
-    cart, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
-    problem, leg = one_phase("double integrator", cart, initial=0.0, final=final_time)
-    return problem, leg
 
 
 def integrator(initial: object, final: object) -> tuple[go.Problem, go.Phase]:
     model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("integrator", model, initial=initial, final=final)
     return problem, leg
-
-
-@on_linear_meshes
-def test_minimum_energy(mesh: go.Mesh, scheme: str) -> None:
-    """Rest to rest over one metre in one second: J = 6, lam_x = -12, lam_v = 12 t - 6, H = -18."""
-    problem, leg = double_integrator(1.0)
-    leg.initial(x=0.0, v=0.0)
-    leg.final(x=1.0, v=0.0)
-    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2))
-    solution = solve(problem, mesh, scheme)
-    truth = Truth(
-        6.0,
-        states={"x": lambda t: 3 * t**2 - 2 * t**3, "v": lambda t: 6 * t - 6 * t**2},
-        controls={"u": lambda t: 6 - 12 * t},
-        costates={"x": constant(-12.0), "v": lambda t: 12 * t - 6},
-        hamiltonian=constant(-18.0),
-    )
-    assert_matches(solution, truth, 1e-9)
-    # The multipliers of the boundary values balance the costates: -lam at the start, +lam at the end.
-    impulses = solution.phase().state_impulses
-    np.testing.assert_allclose(impulses[:, 0], [12.0, 6.0], rtol=1e-9)
-    np.testing.assert_allclose(impulses[:, -1], [-12.0, 6.0], rtol=1e-9)
 
 
 @on_smooth_meshes
