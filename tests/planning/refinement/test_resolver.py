@@ -94,6 +94,7 @@ def test_a_start_on_the_way_is_solved_from_the_rest(fast: Resolver, begin: float
     found = fast.solve(problem)
     assert found.provenance["way"] == SolveMethod.SWITCH_TIMES.value
     assert found.objective == pytest.approx(begin + 2 * speed - v, rel=1e-9)
+    assert_known(found, go.verify(found))
     assert found.phase().initial_time == begin and found.phase().x(begin) == pytest.approx([q, v], abs=1e-12)
     near = found.phase().x(begin + 0.1)
     later = problem.with_time(initial=begin + 0.1).with_initial(q=near[0], v=near[1])
