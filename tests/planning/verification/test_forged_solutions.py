@@ -284,6 +284,7 @@ def test_costates_that_rightly_vanish_are_costates() -> None:
     nothing = replace(right, phases={"leg": replace(right.phase(), x=ending_at_zero(right.phase().x))})
     verdict = go.verify(scaled(nothing, "lam", 0.0))
     assert verdict.ok, verdict.explain()
+    assert "search" not in verdict["minimum principle"].meaning  # H is convex and quadratic
     assert_known(verdict)
 
 
