@@ -94,6 +94,7 @@ def assert_known(*results: go.Solution | go.Verdict) -> None:
         known[name] = [[what, *(float(f"{number:.5g}") for number in numbers)] for what, numbers, _ in found]
         lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(known[key])}" for key in sorted(known))
         FILE.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
-    assert [what for what, *_ in found] == [what for what, *_ in known[name]]
+    remedy = f"if that is meant, write the results anew: KNOWN_RESULTS=write python -m pytest -k '{name}'"
+    assert [what for what, *_ in found] == [what for what, *_ in known[name]], remedy
     for (what, numbers, slack), (_, *expected) in zip(found, known[name], strict=True):
-        assert numbers == pytest.approx(expected, rel=2e-3, abs=slack, nan_ok=True), what
+        assert numbers == pytest.approx(expected, rel=2e-3, abs=slack, nan_ok=True), f"{what}; {remedy}"

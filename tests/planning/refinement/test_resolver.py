@@ -360,6 +360,9 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     )
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
     assert known.build_mesh().degrees == leg.mesh.degrees
+    (start, end, *others), (degree, *degrees) = leg.mesh.breaks, leg.mesh.degrees
+    finer = go.Mesh((start, 0.5 * (start + end), end, *others), (degree, degree, *degrees))
+    assert ArcMesh.from_refined_mesh(found, finer).build_mesh().degrees == finer.degrees
     far = found.with_switch_times((first, *(t + 0.05 * leg.duration for t in inner), last))
     assert ArcMesh.from_refined_mesh(far, leg.mesh) == ArcMesh.from_structure(far)
 
