@@ -1,7 +1,4 @@
-"""Results of solutions and verdicts that were checked once, in ``known_results.json``.
-
-Results that change for a good reason are written anew: ``KNOWN_RESULTS=write python -m pytest TEST``.
-"""
+"""Results of solutions and verdicts that were checked once, in ``known_results.json``."""
 
 from __future__ import annotations
 
@@ -85,7 +82,8 @@ def figures_of_analysis(solution: go.Solution) -> Figures:
 
 def assert_known(*results: go.Solution | go.Verdict) -> None:
     """Compare results with those of the test that calls it, to 0.2 %."""
-    name = os.environ["PYTEST_CURRENT_TEST"].partition("::")[2].rpartition(" ")[0]
+    test = os.environ["PYTEST_CURRENT_TEST"].rpartition(" ")[0]
+    name = test.partition("::")[2]
     known = json.loads(FILE.read_text(encoding="utf-8"))
     found = []
     for r in results:
@@ -94,7 +92,7 @@ def assert_known(*results: go.Solution | go.Verdict) -> None:
         known[name] = [[what, *(float(f"{number:.5g}") for number in numbers)] for what, numbers, _ in found]
         lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(known[key])}" for key in sorted(known))
         FILE.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
-    remedy = f"if that is meant, write the results anew: KNOWN_RESULTS=write python -m pytest -k '{name}'"
-    assert [what for what, *_ in found] == [what for what, *_ in known[name]], remedy
+    remedy = f"if that is meant, write the results anew: KNOWN_RESULTS=write python -m pytest '{test}'"
+    assert [what for what, *_ in found] == [what for what, *_ in known.get(name, [])], remedy
     for (what, numbers, slack), (_, *expected) in zip(found, known[name], strict=True):
         assert numbers == pytest.approx(expected, rel=2e-3, abs=slack, nan_ok=True), f"{what}; {remedy}"
