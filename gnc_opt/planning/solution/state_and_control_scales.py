@@ -133,16 +133,15 @@ def compute_control_scales(
     is_constant &= spans <= np.fmax(NEGLIGIBLE * fallback, SPAN_MIN_SHARE * size)
     spans = np.where(is_constant, np.fmax(fallback, spans), spans)
     spans = take_largest_variable_component(spans, phase.controls)
-    spans = np.where(spans > ROUNDING, spans, width)
+    spans = np.where(spans > ROUNDING * np.where(needed > 0, needed, 1.0), spans, width)
     return _replace_zeros(spans, replace_tiny_by_one(size))
 
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = compute_interval_midpoints(phase.breaks), phase.x(phase.sample_times())
-    motion = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[
-        :, None
-    ]
+    motion = take_largest_variable_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
+    motion = np.where(motion > ROUNDING, motion, 0.0)[:, None]
     x, u = phase.x(middles), phase.applied(middles)
     by_control = np.median(np.abs(functions.dynamics_control_jacobian(middles, x, u)), axis=2)
     span = phase.breaks[-1] - phase.breaks[0]

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Trajectory = tuple[Array, Any, Any]
 
 
-def least_energy(most: float | None = None) -> go.Problem:
-    problem, leg = one_phase("least energy", double_integrator(), 0.0, 1.0)
+def least_energy(most: float | None = None, time: float = 1.0) -> go.Problem:
+    problem, leg = one_phase("least energy", double_integrator(), 0.0, time)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     if most is not None:
@@ -184,6 +184,15 @@ def shifted(kind: int, name: str) -> Trajectory:
 )
 def test_wrong_by_a_thousandth_fails(wrong: Callable[[], Trajectory], sees: str) -> None:
     assert sees in failed(least_energy(), wrong())
+
+
+def test_small_controls_of_slow_motions_are_not_rounding() -> None:
+    """Over 1 au in a year: at most 7e-15 au/s^2."""
+    year = 3e7
+    for right, (t, x, u) in ((True, smooth()), (False, other_minimum())):
+        states = {"q": x["q"], "v": x["v"] / year}
+        verdict = go.verify_trajectory(least_energy(time=year), year * t, states, {"a": u["a"] / year**2})
+        assert verdict.minimum is right, verdict.explain()
 
 
 def test_defects_that_cancel_between_times_given_twice_are_inconclusive() -> None:
