@@ -80,12 +80,9 @@ def test_run_and_campaign() -> None:
         assert "".join(parsed(shown).itertext()) == str(shown)
         assert HOSTILE in str(shown)
     assert repr(campaign).startswith("<campaign of 3 runs, seed 1") and "\n" not in repr(campaign)
-    lines = [
-        "closed loop of plant 'glider' and controller 'LQR', control step 0.1 s",
-        "  actuators     thruster (Saturation)",
-        f"  sensors       {HOSTILE} (Noise)",
-    ]
-    assert str(loop).splitlines() == lines and repr(loop) == f"<{lines[0]}>"
+    heading = "closed loop of plant 'glider' and controller 'LQR', control step 0.1 s"
+    blocks = f"  actuators     thruster (Saturation)\n  sensors       {HOSTILE} (Noise)"
+    assert str(loop) == f"{heading}\n{blocks}" and repr(loop) == f"<{heading}>"
     assert repr(campaign.rerun(0)) == "<run of 0.5 s in 5 control steps: ok>"
 
 

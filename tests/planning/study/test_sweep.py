@@ -103,11 +103,6 @@ def test_functions_that_are_wrong_everywhere_end_the_sweep(mistake: Any, kind: t
         go.sweep(stiff, {"k": [1.0, 2.0]}, outputs={"none": mistake}, mesh="2x3", executor="serial")
 
 
-def test_one_line_says_what_a_sweep_is() -> None:
-    found = go.sweep(stiff, {"k": [1.0, 2.0]}, mesh="2x3", executor="serial")
-    assert repr(found) == "<sweep over 2 k: 2 of 2 solved>"
-
-
 @pytest.mark.slow
 def test_refined_sweeps() -> None:
     found = go.sweep(rest_to_rest, {"duration": [2.2, 2.1]}, tol=1e-8, executor="serial")
