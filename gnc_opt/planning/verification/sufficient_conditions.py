@@ -196,8 +196,9 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     hessian = ca.hessian(expression, z)[0]
     if not hessian.is_constant() or has_kinks(expression):
         return False
-    values = np.linalg.eigvalsh(ca.DM(hessian).full())
-    return bool(np.all(values >= -ROUNDING * max_norm(values)))
+    matrix = ca.DM(hessian).full()
+    units = replace_zeros_by_one(np.sqrt(np.abs(np.diag(matrix))))
+    return bool(np.all(np.linalg.eigvalsh(matrix / np.outer(units, units)) >= -ROUNDING))
 
 
 def compute_cost_lower_bound(problem: Problem) -> float:
