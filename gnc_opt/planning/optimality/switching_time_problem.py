@@ -103,8 +103,8 @@ class Switches:
         """
         controls = [self.first]
         for k in order:
-            controls.append(controls[-1].copy())
-            controls[-1][self.channels[k]] = self.toggled[self.channels[k]] - controls[-1][self.channels[k]]
+            is_toggled = np.arange(self.first.size) == self.channels[k]
+            controls.append(np.where(is_toggled, self.toggled - controls[-1], controls[-1]))
         boundaries = [0, *(1 + k for k in order), self.times.size + 1]
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(boundaries))

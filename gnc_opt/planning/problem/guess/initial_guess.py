@@ -172,8 +172,7 @@ def guess_phase_times(phase: Phase) -> Array:
     if before is not None and np.isnan(guessed[0]):
         guessed[0] = guess_phase_times(before)[1]
     t0 = _choose_boundary_time_guess(initial, guessed[0], default=0.0)
-    span = phase.numbers.duration
-    shortest = max(float(span.lower[0]), 0.0)
+    shortest = float(phase.numbers.duration.lower[0])
     default_duration = shortest if shortest > 0 else 1.0
     if np.isnan(guessed[1]) and after is not None and not _has_bounded_phase_times(final):
         default_duration = _share_time_between_phases(after, t0) or default_duration
