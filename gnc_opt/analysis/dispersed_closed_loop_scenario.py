@@ -99,7 +99,7 @@ class Scenario(StrictAttributes):
         runs = range(P.shape[1])
         batches = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
         goal = self.success_criteria.read_target_states(self.compiled_loop)
-        campaign = merge_run_batches(self.compiled_loop, batches, seed=0, asked=len(runs), goal=goal)
+        campaign = merge_run_batches(self.compiled_loop, batches, seed=0, n_runs=len(runs), goal=goal)
         return self.success_criteria.apply_success_criteria(campaign) if runs else campaign
 
     def compute_performance_measure(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:

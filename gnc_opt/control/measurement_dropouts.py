@@ -129,23 +129,23 @@ def _build_law_for_measurement_dropouts(
     memory, last, missed_steps, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
-    good = _is_vector_finite(x)
+    seen = _is_vector_finite(x)
     # without a good sample, start() gets zeros; its result is not used
-    first = inner.start(t, ca.if_else(good, x, 0), r)
-    usable = ca.logic_or(good, ca.logic_and(missed_steps > _NO_SAMPLE_YET / 2, missed_steps < hold - 0.5))
-    y = ca.if_else(good, x, last)
+    first = inner.start(t, ca.if_else(seen, x, 0), r)
+    usable = ca.logic_or(seen, ca.logic_and(missed_steps > _NO_SAMPLE_YET / 2, missed_steps < hold - 0.5))
+    y = ca.if_else(seen, x, last)
     u, after, *valid = bare(t, y, r, ca.if_else(missed_steps < _NO_SAMPLE_YET / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_is_vector_finite(u), _is_vector_finite(after)))
-    spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
+    safe_command = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
-        ca.if_else(good, 0, ca.if_else(missed_steps < _NO_SAMPLE_YET / 2, _NO_SAMPLE_YET, missed_steps + 1)),
+        ca.if_else(seen, 0, ca.if_else(missed_steps < _NO_SAMPLE_YET / 2, _NO_SAMPLE_YET, missed_steps + 1)),
         ca.if_else(works, invalid, 1),
     )
-    step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *valid)
-    started = ca.if_else(good, ca.vertcat(first, x), 0)
-    return step, initial_state_function(t, x, r, ca.vertcat(started, ca.if_else(good, 0, _NO_SAMPLE_YET), 0))
+    step = law_function(t, x, r, z, ca.if_else(works, u, safe_command), z_next, *valid)
+    started = ca.if_else(seen, ca.vertcat(first, x), 0)
+    return step, initial_state_function(t, x, r, ca.vertcat(started, ca.if_else(seen, 0, _NO_SAMPLE_YET), 0))
 
 
 def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:

@@ -156,7 +156,7 @@ def design_mpc(
     change = None if rate_limits is None else _read_command_rate_limits(rate_limits, model, dt)
     in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, penalty)
     rows = StepLimits(*bounds, change, in_x, in_e, *of_states)
-    beyond = report_reference_limit_violation(reference, rows.states, rows.state_lower, rows.state_upper)
+    violation = report_reference_limit_violation(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
     signals = build_reference_signal_layout(reference, *schedule.list_reference_preview_variables())
@@ -179,7 +179,7 @@ def design_mpc(
             (
                 *report_quadratic_cost(cost, reference),
                 *_report_mpc_design(gains, windows, rows, model.states),
-                *beyond,
+                *violation,
                 *margin,
             ),
         ),
@@ -240,8 +240,8 @@ class _HorizonSchedule:
     def __call__(self, times: Array, dt: float) -> Array:
         times, count = np.atleast_1d(times), self.windows.count
         grid = times[:, None] + dt * np.arange(count + 1)
-        _, where, back = np.unique(np.round(grid / dt / STEP_SLACK), return_index=True, return_inverse=True)
-        here = grid.ravel()[where]  # every time once, since horizons overlap
+        _, first, back = np.unique(np.round(grid / dt / STEP_SLACK), return_index=True, return_inverse=True)
+        here = grid.ravel()[first]  # every time once, since horizons overlap
         reference = self.reference.reference
         u = reference.mean_control(here, dt)[:, back.reshape(grid.shape)]
         x = reference.x(here)[:, back.reshape(grid.shape)]
@@ -267,17 +267,17 @@ class _MpcLaw:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the unconstrained law has a validity flag as third output."""
         t, x, r, z = self._create_mpc_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
-        m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
+        m, data = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
         within_limits = self._build_horizon_qp_function(
             "inside", ca.SX, lambda horizon, *a: [horizon.is_unconstrained_regulator_feasible(*a)]
-        )(*known)
+        )(*data)
         omega, solved = ca.MX.zeros(m), within_limits
         if not unconstrained:
             keep = self._build_horizon_qp_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
-            either = ca.Function.if_else(
+            solve = ca.Function.if_else(
                 "either", keep, self._build_horizon_qp_function("solve", ca.MX, self._solve_horizon_qp)
             )
-            omega, solved = either(within_limits, *known)  # evaluates only one branch
+            omega, solved = solve(within_limits, *data)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
         u = clip_command_and_rate(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
@@ -319,10 +319,10 @@ class _MpcLaw:
         task = horizon.build_horizon_qp(*known)
         one = ca.DM.eye(horizon.n_qp_variables)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
-        least = np.full(horizon.n_qp_variables, -np.inf)
-        least[task.free :] = 0  # slacks are >= 0
+        unbounded = np.full(horizon.n_qp_variables, -np.inf)
+        unbounded[task.free :] = 0  # slacks are >= 0
         solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
-        answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
+        answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=unbounded)
         solved = task.compute_kkt_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
         return [answer["x"][: self.rows.lower.size], solved]
 
@@ -368,10 +368,10 @@ def _read_horizon_length(horizon: float, dt: float) -> int:
 
 def _read_command_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
     rates = read_vector(value, model.controls.size, "the rate limits", ArgumentError)
-    bad = np.flatnonzero(~(rates > 0))
-    if bad.size:
+    low = np.flatnonzero(~(rates > 0))
+    if low.size:
         raise DesignError(
-            f"the rate limit of control '{model.controls.labels[bad[0]]}' is {rates[bad[0]]:g}: give a number > 0."
+            f"the rate limit of control '{model.controls.labels[low[0]]}' is {rates[low[0]]:g}: give a number > 0."
         )
     return rates * dt
 
@@ -396,7 +396,7 @@ def _read_state_limits(
     in_e: list[int] = []
     lower: list[float] = []
     upper: list[float] = []
-    prices: list[float] = []
+    penalties: list[float] = []
     if isinstance(hard, str) or not isinstance(hard, Sequence):
         raise ArgumentError(f"hard of design_mpc() is {quote_value(hard)}: give a list of states.")
     for name in hard:
@@ -419,8 +419,8 @@ def _read_state_limits(
         lower += list(low)
         upper += list(high)
         place = model.errors.slice(name)
-        prices += [np.inf] * size if name in hard else list(penalty[place])
-    return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
+        penalties += [np.inf] * size if name in hard else list(penalty[place])
+    return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(penalties)
 
 
 def _report_mpc_design(

@@ -82,18 +82,18 @@ class QuadraticProgram:
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
         stationary = ca.norm_inf(y + self.g + self.a.T @ lam_a + lam_x) / size
         value, high, low, lam = self.a @ y, self.high, self.low, lam_a
-        outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
+        violation = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
         gap_high, gap_low = (
             ca.fmin(high - value, _INACTIVE_ROW_DISTANCE),
             ca.fmin(value - low, _INACTIVE_ROW_DISTANCE),
         )
         slack = ca.norm_inf(ca.fmax(lam, 0) * gap_high) + ca.norm_inf(ca.fmin(lam, 0) * gap_low)
-        found = [stationary, outside, slack / size]
+        residuals = [stationary, violation, slack / size]
         if y.shape[0] > self.free:
             slacks, multipliers = y[self.free :], lam_x[self.free :]
-            found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
-            found.append(ca.norm_inf(multipliers * slacks) / size)
-        return sum(found)  # a sum, since fmax ignores NaN
+            residuals += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
+            residuals.append(ca.norm_inf(multipliers * slacks) / size)
+        return sum(residuals)  # a sum, since fmax ignores NaN
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +122,16 @@ class PredictionHorizon:
         commands = [
             self._predict_mpc_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
         ]
-        found = [_build_scaled_limit_constraints(*command, rows.lower, rows.upper) for command in commands]
+        limits = [_build_scaled_limit_constraints(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
-            before = (ca.DM(m, self.n_qp_variables), previous)
+            first = (ca.DM(m, self.n_qp_variables), previous)
             for row, u in commands:
-                found.append(
-                    _build_scaled_limit_constraints(row - before[0], u - before[1], -rows.change, rows.change)
+                limits.append(
+                    _build_scaled_limit_constraints(row - first[0], u - first[1], -rows.change, rows.change)
                 )
-                before = (row, u)
-        found += self._build_state_limit_constraints(x_ref, errors)
-        a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
+                first = (row, u)
+        limits += self._build_state_limit_constraints(x_ref, errors)
+        a, low, high = (ca.vertcat(*parts) for parts in zip(*limits, strict=True))
         gradient = np.zeros(self.n_qp_variables)
         gradient[self.n_sign_free_qp_variables :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
         return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_sign_free_qp_variables)
@@ -154,20 +154,20 @@ class PredictionHorizon:
 
     def _predict_tracking_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
-        found = [(ca.DM(e_0.shape[0], self.n_qp_variables), e_0)]
+        errors = [(ca.DM(e_0.shape[0], self.n_qp_variables), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
-            rows, rest = found[-1]
-            found.append(
-                (a @ rows + self._pad_coefficients_with_zero_columns(self.rows.lower.size * j, f), a @ rest)
+            rows, free = errors[-1]
+            errors.append(
+                (a @ rows + self._pad_coefficients_with_zero_columns(self.rows.lower.size * j, f), a @ free)
             )
-        return found
+        return errors
 
     def _predict_mpc_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
-        (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
+        (rows, free), k, g = errors, self.matrices[2][j], self.matrices[3][j]
         return self._pad_coefficients_with_zero_columns(
             self.rows.lower.size * j, g
-        ) - k @ rows, u_ff - k @ rest
+        ) - k @ rows, u_ff - k @ free
 
     def _pad_coefficients_with_zero_columns(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
@@ -178,14 +178,14 @@ class PredictionHorizon:
     ) -> list[tuple[Any, Any, Any]]:
         """Return (row, lower, upper) of the scaled state limits at every step of the horizon."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
-        found = []
-        for side, which, limit in (
+        constraints = []
+        for side, states, limit in (
             (-1, rows.lower_limited_states, rows.state_lower),
             (1, rows.upper_limited_states, rows.state_upper),
         ):
             for j in range(self.n_steps):
-                for i in which:
-                    row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
+                for i in states:
+                    row, free = (part[rows.errors[i], :] for part in errors[j + 1])
                     row = row / scale[i]
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
@@ -193,9 +193,9 @@ class PredictionHorizon:
                         row = row + self._pad_coefficients_with_zero_columns(
                             place, ca.DM(-side / rows.penalty_square_roots[slack])
                         )
-                    room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
-                    found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
-        return found
+                    distance = (limit[i] - x_ref[j * limited + i] - free) / scale[i]
+                    constraints.append((row, *((-ca.inf, distance) if side > 0 else (distance, ca.inf))))
+        return constraints
 
 
 def _build_scaled_limit_constraints(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:

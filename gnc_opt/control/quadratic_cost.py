@@ -146,10 +146,10 @@ def _find_smallest_relative_eigenvalue(
     weight: Array, labels: tuple[str, ...], what: str, *, strict: bool
 ) -> float:
     diagonal = np.diag(weight)
-    bad = np.flatnonzero(diagonal <= 0 if strict else diagonal < 0)
-    if bad.size:
+    invalid = np.flatnonzero(diagonal <= 0 if strict else diagonal < 0)
+    if invalid.size:
         raise DesignError(
-            f"{what} of '{labels[bad[0]]}' is {diagonal[bad[0]]:g}: give a number {'>' if strict else '>='} 0."
+            f"{what} of '{labels[invalid[0]]}' is {diagonal[invalid[0]]:g}: give a number {'>' if strict else '>='} 0."
         )
     scale = np.sqrt(replace_zeros_by_one(diagonal))
     # a zero on the diagonal requires a zero row; such a row is scaled by its largest entry

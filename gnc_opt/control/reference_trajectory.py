@@ -43,19 +43,19 @@ def describe_dynamics_residual(model: Model, x: Signal, u: Signal, edges: Array)
     return _format_trim_residual(model, times, np.maximum(left - rounded, 0.0), first, u(times))
 
 
-def _format_trim_residual(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
-    terms = np.abs(model.f(times, x, u)) + left
+def _format_trim_residual(model: Model, times: Array, residual: Array, x: Array, u: Array) -> str:
+    magnitude = np.abs(model.f(times, x, u)) + residual
     for j, t in enumerate(times):
         a, b = model.linearize(float(t), x[:, j], u[:, j])
-        terms[:, j] += np.abs(a) @ np.abs(x[:, j]) + np.abs(b) @ np.abs(u[:, j])
-    scale = np.max(terms, axis=1, keepdims=True)
-    share = np.nan_to_num(left / replace_zeros_by_one(scale))
+        magnitude[:, j] += np.abs(a) @ np.abs(x[:, j]) + np.abs(b) @ np.abs(u[:, j])
+    scale = np.max(magnitude, axis=1, keepdims=True)
+    share = np.nan_to_num(residual / replace_zeros_by_one(scale))
     i, k = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[i, k] > _DYNAMICS_CHECK_TOLERANCE:
         return ""
     per_second = f"{model.states.units[i]} per second".strip()
     return (
-        f"the rate of '{model.states.labels[i]}' differs by {left[i, k]:.3g} {per_second} from the model's at t = "
+        f"the rate of '{model.states.labels[i]}' differs by {residual[i, k]:.3g} {per_second} from the model's at t = "
         f"{times[k]:.4g} s, {100 * share[i, k]:.3g} % of the terms of its rate"
     )
 
@@ -191,16 +191,16 @@ class Reference(StrictAttributes):
             raise ArgumentError(
                 f"a reference has no time span from {span[0]} s to {span[1]} s: give increasing times."
             )
-        for function, of in ((x, "states"), (u, "controls")):
+        for function, kind in ((x, "states"), (u, "controls")):
             if not callable(function):
                 raise ArgumentError(
-                    f"the {of} of a reference are {quote_value(function)}: give a function of time."
+                    f"the {kind} of a reference are {quote_value(function)}: give a function of time."
                 )
-        over = _check_vectorized_time_function if vectorized else _vectorize_time_function
+        vectorize = _check_vectorized_time_function if vectorized else _vectorize_time_function
         reference._store_reference_time_functions(
             model,
-            [over(x, model.states)],
-            [over(u, model.controls)],
+            [vectorize(x, model.states)],
+            [vectorize(u, model.controls)],
             span,
             np.unique([span[0], *jumps, span[1]]),
             tail,
@@ -292,13 +292,13 @@ class Reference(StrictAttributes):
             values = np.array(parts[0](within))
         else:
             part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
-            found = []
+            values_by_part = []
             for k in np.unique(part):
-                here, span = part == k, self._breaks[k : k + 2]
-                found.append((here, parts[int(k)](np.clip(within[here], *span))))
-            values = np.empty((found[0][1].shape[0], times.size))
-            for here, value in found:
-                values[:, here] = value
+                in_part, span = part == k, self._breaks[k : k + 2]
+                values_by_part.append((in_part, parts[int(k)](np.clip(within[in_part], *span))))
+            values = np.empty((values_by_part[0][1].shape[0], times.size))
+            for in_part, value in values_by_part:
+                values[:, in_part] = value
         if tail is not None:
             values[:, times > self.final_time + slack] = tail[:, None]
         return values if np.ndim(t) else values[:, 0]

@@ -138,18 +138,18 @@ def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> li
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
-    reached = scipy.linalg.orth(inputs, rcond=_REACHABILITY_MIN) if inputs.size else np.zeros((size, 0))
-    newest = reached
-    while newest.shape[1] and reached.shape[1] < size:
-        image = balanced @ newest
-        image -= reached @ (reached.T @ image)
-        image -= reached @ (reached.T @ image)  # twice: orthogonal to rounding
+    controllable = scipy.linalg.orth(inputs, rcond=_REACHABILITY_MIN) if inputs.size else np.zeros((size, 0))
+    added = controllable
+    while added.shape[1] and controllable.shape[1] < size:
+        image = balanced @ added
+        image -= controllable @ (controllable.T @ image)
+        image -= controllable @ (controllable.T @ image)  # twice: orthogonal to rounding
         u, s, _ = np.linalg.svd(image, full_matrices=False)
-        newest = u[:, s > _REACHABILITY_MIN]
-        reached = np.hstack([reached, newest])
-    if reached.shape[1] >= size:
+        added = u[:, s > _REACHABILITY_MIN]
+        controllable = np.hstack([controllable, added])
+    if controllable.shape[1] >= size:
         return []
-    unreachable = np.linalg.svd(reached, full_matrices=True)[0][:, reached.shape[1] :]
+    unreachable = np.linalg.svd(controllable, full_matrices=True)[0][:, controllable.shape[1] :]
     block = unreachable.T @ balanced @ unreachable
     eigenvalues, left_vectors = np.linalg.eig(block.T)
     modes = []

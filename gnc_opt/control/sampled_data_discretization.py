@@ -76,8 +76,8 @@ def convert_to_continuous_poles(poles: Any, dt: float | None) -> Any:
     if dt is None:
         return poles
     sampled = np.asarray(poles, dtype=complex)
-    rates, there = np.full(sampled.shape, complex(-np.inf)), np.abs(sampled) > _ROUNDING
-    rates[there] = np.log(sampled[there]) / dt
+    rates, is_nonzero = np.full(sampled.shape, complex(-np.inf)), np.abs(sampled) > _ROUNDING
+    rates[is_nonzero] = np.log(sampled[is_nonzero]) / dt
     return rates
 
 

@@ -134,10 +134,10 @@ def _report_sliding_surface(
     ]
     facts = [*poles, *switching.report_sliding_bands()]
     if not isinstance(switching.boundary, Sign):
-        real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
+        is_real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
         steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
         remark = "in the units of the outputs, from the band of s"
-        facts += [ReportEntry("steady error bound", np.array(steady), remark=remark)] if real else []
+        facts += [ReportEntry("steady error bound", np.array(steady), remark=remark)] if is_real else []
     return facts
 
 

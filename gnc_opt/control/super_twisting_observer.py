@@ -74,7 +74,7 @@ class SuperTwistingObserver:
         xi = s_hat - s
         return q - self.k1 * ca.sqrt(ca.fabs(xi)) * ca.sign(xi)
 
-    def update(self, s: Any, s_hat: Any, q: Any, known: Any, dt: float) -> tuple[Any, Any]:
-        """Return s_hat and q of the next step; ``known`` is the known part of ds/dt with the applied command."""
+    def update(self, s: Any, s_hat: Any, q: Any, known_rate: Any, dt: float) -> tuple[Any, Any]:
+        """Return s_hat and q of the next step; ``known_rate`` is the known part of ds/dt with the applied command."""
         unknown = self.estimate(s, s_hat, q)
-        return s_hat + dt * (known + unknown), q - dt * self.k2 * ca.sign(s_hat - s)
+        return s_hat + dt * (known_rate + unknown), q - dt * self.k2 * ca.sign(s_hat - s)

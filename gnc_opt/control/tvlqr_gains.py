@@ -155,9 +155,9 @@ class _PlantMatrices:
 
     def linearize(self, times: Array) -> None:
         """Evaluate the matrices at the times (n,) of the next step."""
-        inside = np.clip(times, *self.span)  # one-sided limit at jumps
+        clipped = np.clip(times, *self.span)  # one-sided limit at jumps
         a, b = self.deviation.linearize_error_dynamics_at_times(
-            inside, self.reference.x(inside), self.reference.u(inside)
+            clipped, self.reference.x(clipped), self.reference.u(clipped)
         )
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
 
@@ -227,8 +227,8 @@ def _iterate_riccati_recursion(
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
 
     def linearize_plant_within_control_step(times: Array) -> tuple[Array, Array]:
-        late, within = times > t_f, np.minimum(times, t_f)
-        u = np.where(late, reference.control_after_final_time[:, None], reference.u(within))
+        after_end, within = times > t_f, np.minimum(times, t_f)
+        u = np.where(after_end, reference.control_after_final_time[:, None], reference.u(within))
         return deviation.linearize_error_dynamics_at_times(within, reference.x(within), u)
 
     steps = [

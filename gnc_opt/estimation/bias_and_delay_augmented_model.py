@@ -116,12 +116,12 @@ class AugmentedModel:
         middle = 0.5 * (start + end)
         A = self._jacobian(t + h / 2, middle, u)
         last, vehicle = self.vehicle.build_state_difference_jacobian(end), self.vehicle
-        same = ca.SX.eye(self.errors.size - vehicle.errors)
-        one, square = ca.SX.eye(n), A @ A
-        change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        full = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(start), same)
-        change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
-        half = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(middle), same)
+        identity = ca.SX.eye(self.errors.size - vehicle.errors)
+        unit, square = ca.SX.eye(n), A @ A
+        change = unit + h * A + square @ (h**2 / 2 * unit + h**3 / 6 * A + h**4 / 24 * square)
+        full = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(start), identity)
+        change = unit + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
+        half = ca.diagcat(last @ change @ vehicle.build_state_retraction_jacobian(middle), identity)
         return full, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:

@@ -174,18 +174,18 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"controller '{controller.name}' already includes an estimator: give the controller inside."
         )
     controller.step_length(estimator.dt)
-    fed = _find_variable_row_indices(
+    rows = _find_variable_row_indices(
         controller.states, estimator.states, "state", controller.name, estimator.name
     )
     sent = _find_variable_row_indices(
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_memory_variables(controller, estimator)
-    step, start = _combine_controller_with_estimator(controller, controller.step, estimator, fed, sent)
+    step, start = _combine_controller_with_estimator(controller, controller.step, estimator, rows, sent)
     unconstrained_law = (
         controller.unconstrained_law
         and _combine_controller_with_estimator(
-            controller, controller.unconstrained_law, estimator, fed, sent
+            controller, controller.unconstrained_law, estimator, rows, sent
         )[0]
     )
     report, codegen_law = controller.explanation, controller.codegen_law
@@ -232,19 +232,19 @@ def _combine_controller_with_estimator(
     return step, initial_state_function(t, y, r, initial)
 
 
-def _find_variable_row_indices(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+def _find_variable_row_indices(layout: Layout, given: Layout, kind: str, whose: str, where: str) -> list[int]:
     rows: list[int] = []
-    for v in wanted.variables:
-        if v.name not in there:
+    for v in layout.variables:
+        if v.name not in given:
             raise ArgumentError(
                 f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not have: "
-                f"{suggest_similar_name(v.name, there.names)}"
+                f"{suggest_similar_name(v.name, given.names)}"
             )
-        if there[v.name].size != v.size:
+        if given[v.name].size != v.size:
             raise ArgumentError(
-                f"{kind} '{v.name}' has {v.size} components in '{whose}' and {there[v.name].size} in '{where}'."
+                f"{kind} '{v.name}' has {v.size} components in '{whose}' and {given[v.name].size} in '{where}'."
             )
-        place = there.slice(v.name)
+        place = given.slice(v.name)
         rows += range(place.start, place.stop)
     return rows
 

@@ -71,8 +71,8 @@ class SigmaRegression:
         self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
     ) -> tuple[Any, Any]:
         """Return the mean of f(x) and the covariance of its error, from the sigma points."""
-        mean, spread, remainder, _ = self._propagate_sigma_points(f, space, space, x, P)
-        return mean, spread @ spread.T + remainder
+        mean, slope_root, remainder, _ = self._propagate_sigma_points(f, space, space, x, P)
+        return mean, slope_root @ slope_root.T + remainder
 
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the regression slope of its error and the covariance of the residual."""
@@ -92,9 +92,9 @@ class SigmaRegression:
             plus, minus = (target.difference(f(source.retraction(x, move)), centre) for move in (step, -step))
             sums.append((plus + minus) / 2)
             differences.append((plus - minus) / (2 * c))
-        bends, spread = ca.horzcat(*sums), ca.horzcat(*differences)
-        mean = ca.sum2(bends) / square
-        remainder = (square - 1) / square**2 * (bends @ bends.T)
+        curvatures, spread = ca.horzcat(*sums), ca.horzcat(*differences)
+        mean = ca.sum2(curvatures) / square
+        remainder = (square - 1) / square**2 * (curvatures @ curvatures.T)
         return target.retraction(centre, mean), spread, remainder, root
 
 
@@ -124,8 +124,8 @@ def solve_triangular_left(root: Any, b: Any) -> Any:
         value = b[i, :]
         for k, row in enumerate(rows):
             value = value - root[i, k] * row
-        there = root[i, i] > 0
-        rows.append(ca.if_else(there, value / ca.if_else(there, root[i, i], 1), 0))
+        is_regular = root[i, i] > 0
+        rows.append(ca.if_else(is_regular, value / ca.if_else(is_regular, root[i, i], 1), 0))
     return ca.vertcat(*rows)
 
 
@@ -136,6 +136,6 @@ def solve_triangular_right(a: Any, root: Any) -> Any:
         value = a[:, j]
         for k in range(j + 1, root.shape[0]):
             value = value - columns[k] * root[k, j]
-        there = root[j, j] > 0
-        columns[j] = ca.if_else(there, value / ca.if_else(there, root[j, j], 1), 0)
+        is_regular = root[j, j] > 0
+        columns[j] = ca.if_else(is_regular, value / ca.if_else(is_regular, root[j, j], 1), 0)
     return ca.horzcat(*[columns[j] for j in range(root.shape[0])])

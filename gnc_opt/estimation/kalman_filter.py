@@ -58,7 +58,7 @@ def create_measurement_counters(channels: Sequence[MeasurementChannel]) -> list[
     """Return the counters in the memory, `LOST_STEPS` last."""
     entries = []
     for channel in channels:
-        entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
+        entries += [Variable(f"{channel.name}_{suffix}") for suffix in ("nis", "taken", "refused")]
         if channel.has_steps_without_measurement:
             entries.append(Variable(f"{channel.name}_next"))
     return [*entries, Variable(LOST_STEPS)]
@@ -84,22 +84,22 @@ class SampleCount:
             else is_finite
         )
 
-    def count_and_gate_measurement(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
+    def count_and_gate_measurement(self, channel: MeasurementChannel, valid: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
-        taken = good
+        used = valid
         if gate is not None:
             passes = nis <= float(scipy.stats.chi2.ppf(gate, channel.space.errors))
-            taken = ca.logic_and(good, passes)
-            self.entries[f"{name}_refused"] += ca.logic_and(good, ca.logic_not(passes))
-        due = self.is_measurement_due(channel)
-        self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
-        self.entries[f"{name}_taken"] += taken
+            used = ca.logic_and(valid, passes)
+            self.entries[f"{name}_refused"] += ca.logic_and(valid, ca.logic_not(passes))
+        is_due = self.is_measurement_due(channel)
+        self.entries[f"{name}_nis"] += ca.if_else(used, nis, 0)
+        self.entries[f"{name}_taken"] += used
         if channel.has_steps_without_measurement:
             remaining = self.entries[f"{name}_next"]
-            self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, remaining - 1)
-        self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
-        return taken
+            self.entries[f"{name}_next"] = ca.if_else(is_due, channel.period - 1, remaining - 1)
+        self._any_due, self._any_taken = ca.fmax(self._any_due, is_due), ca.fmax(self._any_taken, used)
+        return used
 
     def set_states_nan_after_dropout(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
@@ -166,9 +166,9 @@ class KalmanFilter:
             new = P.copy()
             for each in maps:
                 new |= each @ new @ each.T
-            for seen in rows:
-                touched = new @ seen
-                new |= np.outer(touched, touched)
+            for row in rows:
+                affected = new @ row
+                new |= np.outer(affected, affected)
             if np.array_equal(new, P):
                 return ca.DM(ca.sparsify(ca.DM(np.tril(P).astype(float)))).sparsity()
             P = new
@@ -200,17 +200,17 @@ class KalmanFilter:
         views, tally = self._linearize_measurements(t, x, P), SampleCount(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
-            good = tally.is_measurement_valid(channel, sample)
+            valid = tally.is_measurement_valid(channel, sample)
             nu = solve_triangular_left(
-                view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0)
+                view.root, ca.if_else(valid, channel.space.difference(sample, view.y), 0)
             )
             gated = channel.measurement.gate is not None
-            after, updated, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
-            taken = tally.count_and_gate_measurement(channel, good, nis)
+            after, updated, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else valid, error)
+            used = tally.count_and_gate_measurement(channel, valid, nis)
             error, P = (
                 (
-                    _select_matrix_by_condition(taken, after, error),
-                    _select_matrix_by_condition(taken, updated, P),
+                    _select_matrix_by_condition(used, after, error),
+                    _select_matrix_by_condition(used, updated, P),
                 )
                 if gated
                 else (after, updated)
@@ -276,7 +276,7 @@ class _LinearizedMeasurement:
     root: Any
 
 
-def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
+def _apply_joseph_update(P: Any, H: Any, nu: Any, used: Any, error: Any) -> tuple[Any, Any, Any]:
     """Return the error and P after whitened components with slopes H (m, n), and the NIS."""
     nis = ca.SX(0)
     for i in range(H.shape[0]):
@@ -284,13 +284,13 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
         g = P @ h
         information, left_over = 1 / (ca.dot(h, g) + 1), nu[i] - ca.dot(h, error)
         nis += left_over**2 * information
-        k = taken * information * g
+        k = used * information * g
         error = error + k * left_over
         reduced = ca.tril2symm(ca.tril(P - k @ g.T))
         if h.nnz() == 1:
             # without rounding, left h equals k; replacing it makes this column exactly zero
             (j,) = h.sparsity().row()
-            reduced[:, j] = ca.if_else(taken, information, 1) * P[:, j]
+            reduced[:, j] = ca.if_else(used, information, 1) * P[:, j]
             P = _symmetrise_lower_triangle(reduced, j)
         else:
             P = ca.tril2symm(ca.tril(reduced + (k - reduced @ h) @ k.T))

@@ -242,11 +242,11 @@ class FilterDesign:
         """Return the unobservable states and the steady-state accuracy of the model linearised at the initial state."""
         F, Q, H, R = self._linearize_at_initial_state()
         where = "model linearised at the initial state, zero command"
-        unseen = sorted(
+        unobservable = sorted(
             {label for mode in find_uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
             key=labels.index,
         )
-        facts = [ReportEntry("unobservable states", ", ".join(unseen) or "none", remark=where)]
+        facts = [ReportEntry("unobservable states", ", ".join(unobservable) or "none", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:
@@ -331,14 +331,14 @@ def _read_standard_deviations(model: Model, by_name: Deviations, what: str) -> A
 def _check_retraction_inverts_difference(model: Model, x0: Array) -> None:
     """Raise an error if a retraction is not the inverse of its difference, to first order at the initial state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
-    there = model.state_error_expression(model.retraction_expression(x, e), x)
-    value_and_slope = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
+    difference = model.state_error_expression(model.retraction_expression(x, e), x)
+    value_and_slope = ca.Function("both", [x, e], [difference, ca.jacobian(difference, e)])
     value, slope = (np.asarray(m.full()) for m in value_and_slope(x0, np.zeros(model.errors.size)))
     miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))
-    bad = np.flatnonzero(~(miss <= EQUAL))
-    if bad.size:
-        label = model.errors.labels[int(bad[0])]
+    wrong = np.flatnonzero(~(miss <= EQUAL))
+    if wrong.size:
+        label = model.errors.labels[int(wrong[0])]
         raise DesignError(
             f"the retraction of '{label}' in model '{model.name}' is not the inverse of its difference: that of "
-            f"retraction(x, e) and x differs from e by {miss[bad[0]]:.2g} to first order."
+            f"retraction(x, e) and x differs from e by {miss[wrong[0]]:.2g} to first order."
         )

@@ -70,8 +70,8 @@ class Resolver(StrictAttributes):
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         require_type(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_solved_problem("solve")
-        asked = solution.history.tolerance if tol is None and solution.history is not None else tol
-        self.tol = None if asked is None else read_positive_number(asked, "the tolerance of Resolver()")
+        value = solution.history.tolerance if tol is None and solution.history is not None else tol
+        self.tol = None if value is None else read_positive_number(value, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold
         known_switches = KnownSwitches.from_solution(solution)
         self._known_switches = None if known_switches is None else known_switches.with_newton_step()

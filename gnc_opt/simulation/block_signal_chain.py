@@ -27,10 +27,10 @@ class ColumnLayout:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        out, first = {}, 0
+        slices, first = {}, 0
         for name, n in self.parts:
-            out[name], first = slice(first, first + n), first + n
-        return out
+            slices[name], first = slice(first, first + n), first + n
+        return slices
 
     def split_vector_by_name(self, column: Any) -> dict[str, Any]:
         """Return the parts (rows) of a column or an array by name."""
@@ -88,11 +88,11 @@ def connect_block_chain(blocks: Sequence[Block], signals: Kinds, what: str) -> t
             )
         )
         if new is not None:
-            others = {n: k for n, k in signals.items() if n not in on}
-            taken = [n for n in new if n in others]
-            if taken:
-                raise ArgumentError(f"'{block.name}' defines '{taken[0]}' again: choose another name.")
-            signals = {**others, **new}
+            unchanged = {n: k for n, k in signals.items() if n not in on}
+            duplicates = [n for n in new if n in unchanged]
+            if duplicates:
+                raise ArgumentError(f"'{block.name}' defines '{duplicates[0]}' again: choose another name.")
+            signals = {**unchanged, **new}
     return links, signals
 
 

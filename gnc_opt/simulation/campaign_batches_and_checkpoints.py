@@ -101,7 +101,7 @@ def _keep_first_runs_of_batch(part: Campaign, count: int) -> RunBatch:
 
 
 def merge_run_batches(
-    loop: CompiledLoop, batches: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
+    loop: CompiledLoop, batches: Sequence[RunBatch], *, seed: int, n_runs: int, goal: Array
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
@@ -141,7 +141,7 @@ def merge_run_batches(
     drawn = [p.parameters for p in batches if p.parameters is not None]
     return Campaign(
         seed=seed,
-        asked=asked,
+        asked=n_runs,
         indices=np.array([i for part in batches for i in part.batch], dtype=np.int64),
         parameters=np.hstack([np.empty((loop.layout.size, 0)), *drawn]),
         states=states,

@@ -60,13 +60,13 @@ def compute_percentile_envelope(
     """Return the envelope of samples (n_times, n_runs) that are NaN after the end of a run; see `Envelope`."""
     shape = (len(levels), times.size)
     values, low, high = (np.full(shape, np.nan) for _ in range(3))
-    flying = np.sum(~np.isnan(samples), axis=1)
-    for k in np.flatnonzero(flying):
-        some = samples[k][~np.isnan(samples[k])]
+    n_flying = np.sum(~np.isnan(samples), axis=1)
+    for k in np.flatnonzero(n_flying):
+        finite = samples[k][~np.isnan(samples[k])]
         for j, level in enumerate(levels):
-            percentile = estimate_percentile(some, level, confidence)
+            percentile = estimate_percentile(finite, level, confidence)
             values[j, k], low[j, k], high[j, k] = percentile.value, percentile.low, percentile.high
-    return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, flying, confidence)
+    return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, n_flying, confidence)
 
 
 def rank_dispersions(runs: Runs, values: Array) -> list[tuple[str, float, Array]]:
@@ -79,8 +79,8 @@ def rank_dispersions(runs: Runs, values: Array) -> list[tuple[str, float, Array]
         if np.ptp(ranks) and np.all(np.isfinite(drawn)) and np.ptp(drawn):
             pairs = {label: drawn, f"|{label}|": np.abs(drawn - np.median(drawn))}
             orders = {name: scipy.stats.rankdata(x) for name, x in pairs.items() if np.ptp(x)}
-            both = [(name, float(np.corrcoef(x, ranks)[0, 1]), drawn) for name, x in orders.items()]
-            effects.append(max(both, key=lambda effect: abs(effect[1])))
+            correlations = [(name, float(np.corrcoef(x, ranks)[0, 1]), drawn) for name, x in orders.items()]
+            effects.append(max(correlations, key=lambda effect: abs(effect[1])))
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
@@ -197,9 +197,9 @@ class Measures:
                     "(modified Rodrigues parameters) or four (quaternion)."
                 )
         elif not (kind in _SUBJECTS and subject in self.layout(_SUBJECTS[kind])):
-            known = [*self.names, *(n for n in states.names if n not in self.names)]
-            known += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
-            raise unknown_name_error("measure", name, "the campaign", known)
+            names = [*self.names, *(n for n in states.names if n not in self.names)]
+            names += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
+            raise unknown_name_error("measure", name, "the campaign", names)
         if kind in ("error", "angle") and not self._has_target_state(subject):
             raise ArgumentError(
                 f"the controller has no reference for '{subject}': give target={{'{subject}': ...}}."

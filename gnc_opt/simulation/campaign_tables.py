@@ -38,9 +38,9 @@ def select_printed_performance_measures(campaign: CampaignStatistics) -> tuple[s
 
 def format_campaign_table(campaign: CampaignStatistics) -> str:
     """Return the summary table of a campaign: outcomes, percentiles, and pass rates with confidence intervals."""
-    runs, asked = len(campaign), campaign.asked
+    runs, n_runs = len(campaign), campaign.asked
     counts = ", ".join(f"{count} {status.value}" for status, count in campaign.status_counts.items())
-    interrupted = f" of {asked}, interrupted" if campaign.interrupted else ""
+    interrupted = f" of {n_runs}, interrupted" if campaign.interrupted else ""
     lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
     if not runs:
         return lines[0]
@@ -111,12 +111,12 @@ def _format_event_counts(campaign: CampaignStatistics) -> list[str]:
 
 
 def _format_failure_causes(campaign: CampaignStatistics) -> list[str]:
-    struck: dict[str, list[int]] = defaultdict(list)
+    runs_by_cause: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
         status = outcome.status.value
-        what = re.sub(r" (is )?[-+.\de]+(, |$)", r" \1", outcome.what).strip()  # without numbers
-        struck[f"{status}: {what}" if what else status].append(index)
-    ordered = sorted(struck.items(), key=lambda item: -len(item[1]))
+        text = re.sub(r" (is )?[-+.\de]+(, |$)", r" \1", outcome.what).strip()  # without numbers
+        runs_by_cause[f"{status}: {text}" if text else status].append(index)
+    ordered = sorted(runs_by_cause.items(), key=lambda item: -len(item[1]))
     lines = []
     for cause, indices in ordered[:LISTED]:
         more = ", ..." if len(indices) > LISTED else ""

@@ -217,18 +217,18 @@ class ClosedLoop(PrintableResult):
                 value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
             )
         labels = self.layout.labels
-        bad = [
+        invalid = [
             i for i, p in enumerate(P) if np.isnan(p) or (np.isinf(p) and labels[i].startswith("initial."))
         ]
-        if bad:
-            label = labels[bad[0]]
+        if invalid:
+            label = labels[invalid[0]]
             missing = [n for n in states.names if np.all(np.isnan(P[self.layout.slice(f"initial.{n}")]))]
             if missing:
                 names = ", ".join(f"'{name}'" for name in missing)
                 raise ArgumentError(
                     f"the initial state of a run lacks {names}: give x0 a value of every state."
                 )
-            raise ArgumentError(f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give one.")
+            raise ArgumentError(f"'{label}' of a run is not a number (it is {P[invalid[0]]:g}): give one.")
         return P
 
     def compile(
@@ -379,11 +379,11 @@ class ClosedLoop(PrintableResult):
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
         for first in range(0, times.size, MAX_STEPS_PER_CALL):  # limits the memory of the evaluation
-            some = times[first : first + MAX_STEPS_PER_CALL]
-            table = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
-            if table.shape != (size, some.size):
+            part = times[first : first + MAX_STEPS_PER_CALL]
+            table = np.asarray(self.controller.schedule(part, self.dt), dtype=float)
+            if table.shape != (size, part.size):
                 raise ArgumentError(
-                    f"the schedule of '{self.controller.name}' has the shape {table.shape} where ({size}, {some.size}) "
+                    f"the schedule of '{self.controller.name}' has the shape {table.shape} where ({size}, {part.size}) "
                     "is needed."
                 )
             rows[:, first : first + MAX_STEPS_PER_CALL] = table

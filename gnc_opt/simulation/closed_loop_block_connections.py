@@ -48,10 +48,10 @@ def _check_plant_provides_signal(variable: Variable, plant: Model, controller: C
     kind = "output" if variable.name in plant.outputs else "state"
     layout = plant.outputs if kind == "output" else plant.states
     if variable.name not in layout:
-        known = [*plant.states.names, *plant.outputs.names]
+        names = [*plant.states.names, *plant.outputs.names]
         raise ArgumentError(
             f"controller '{controller.name}' {verb} '{variable.name}', which the plant '{plant.name}' does not "
-            f"have: {suggest_similar_name(variable.name, known)}"
+            f"have: {suggest_similar_name(variable.name, names)}"
         )
     if layout[variable.name].size != variable.size:
         raise ArgumentError(
@@ -268,7 +268,7 @@ def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
 
 def _connect_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
     states = get_signal_sizes_and_units(controller.states)
-    links, seen = connect_block_chain(blocks, states, "measured state")
-    if seen != states:
+    links, measured = connect_block_chain(blocks, states, "measured state")
+    if measured != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
     return tuple(links)

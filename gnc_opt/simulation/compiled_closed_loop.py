@@ -279,10 +279,10 @@ class CompiledLoop(StrictAttributes):
     def describe_invalid_parameters(self, P: Array) -> str:
         """Return the error message for a column P (n_parameters,); "" if it is valid."""
         lower, upper = self.ranges
-        bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
-        if not bad.size:
+        invalid = np.flatnonzero(~((lower <= P) & (upper >= P)))
+        if not invalid.size:
             return ""
-        i = int(bad[0])
+        i = int(invalid[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
     def iterate_known_values(

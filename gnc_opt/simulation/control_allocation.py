@@ -72,8 +72,8 @@ def find_null_space_vector(
         The null space has more than one dimension.
     """
     effects = read_effectiveness_matrix(matrix, failed, what)
-    alive = [i for i in range(effects.shape[1]) if i not in failed]
-    basis = scipy.linalg.null_space(effects[:, alive], rcond=RANK)
+    intact = [i for i in range(effects.shape[1]) if i not in failed]
+    basis = scipy.linalg.null_space(effects[:, intact], rcond=RANK)
     if basis.shape[1] == 0:
         return None
     if basis.shape[1] > 1:
@@ -81,7 +81,7 @@ def find_null_space_vector(
             f"{what} has {basis.shape[1]} null directions, but min-max allocation supports one: use the pseudo-inverse."
         )
     n = np.zeros(effects.shape[1])
-    n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
+    n[intact] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
     return np.where(np.abs(n) < RANK, 0.0, n)
 
 
@@ -180,13 +180,13 @@ class Allocation(Block):
         return Step(self._allocate_command_to_actuators(signal), state)
 
     def _allocate_command_to_actuators(self, signal: Any) -> Any:
-        about: tuple[Any, str] = self.failed, f"'{self.name}'"
+        arguments: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
-            plus, minus = (minimise_actuator_effort(self.matrix, sign, *about) for sign in (1.0, -1.0))
+            plus, minus = (minimise_actuator_effort(self.matrix, sign, *arguments) for sign in (1.0, -1.0))
             positive = ca.if_else(signal < 0, 0.0, signal)
             return plus @ positive + minus @ (positive - signal)
-        u = pseudo_inverse(self.matrix, *about) @ signal
-        n = find_null_space_vector(self.matrix, *about) if self.method == "min-max" else None
+        u = pseudo_inverse(self.matrix, *arguments) @ signal
+        n = find_null_space_vector(self.matrix, *arguments) if self.method == "min-max" else None
         return u if n is None else u + minimise_peak_along_null_vector(u, n) * n
 
 

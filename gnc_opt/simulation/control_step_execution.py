@@ -190,11 +190,11 @@ def _generate_step_c_source(step: Any, folder: str) -> str:
 def _compile_control_step_library(step: Any, compiler: str, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
-        made, written = Path(folder, "kernel.so"), Path(folder, "step_loop.c")
+        library, source = Path(folder, "kernel.so"), Path(folder, "step_loop.c")
         text = _generate_step_c_source(step, folder)
         if not text:
             return
-        written.write_text(text, encoding="utf-8")
-        command = [compiler, *FLAGS, "-o", str(made), str(written), "-lm"]
+        source.write_text(text, encoding="utf-8")
+        command = [compiler, *FLAGS, "-o", str(library), str(source), "-lm"]
         if subprocess.run(command, capture_output=True, check=False).returncode == 0:
-            made.replace(place)  # atomic: other processes may look for it
+            library.replace(place)  # atomic: other processes may look for it

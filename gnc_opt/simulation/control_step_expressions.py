@@ -174,11 +174,11 @@ class ControlStep:
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.initial_memory(begin, p, tick)
             if wiring.starts_at_trim:
-                quiet = ca.SX.zeros(block.noise_size(link.size))
+                no_noise = ca.SX.zeros(block.noise_size(link.size))
                 signals = replace_signals_by_block_outputs(
                     signals,
                     link,
-                    block.propagate_wave(tick, ActuatorWaveform(signal), first, p, quiet)[1].signal,
+                    block.propagate_wave(tick, ActuatorWaveform(signal), first, p, no_noise)[1].signal,
                 )
         return memory
 
@@ -271,12 +271,12 @@ class ControlStep:
         y, u, mean = logged["measured"], logged["commands"], logged["applied"]
         new |= {"memory": z, "command": u, "steps": state["steps"] + 1}
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        seen = [*select_monitored_measurements(self.wiring, y), u, mean, new["plant"]]
+        monitored = [*select_monitored_measurements(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:
-            seen.append(ca.if_else(new["lost"], ca.inf, 0))
+            monitored.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
-        seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
-        self._record_first_nan_divergence_alarm(new, state, t, ca.vertcat(*seen), z)
+        monitored.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
+        self._record_first_nan_divergence_alarm(new, state, t, ca.vertcat(*monitored), z)
         zeros = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.stack_vector_by_name({**zeros, **logged})
 
@@ -288,13 +288,13 @@ class ControlStep:
         return EventDetector(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
     def _record_first_nan_divergence_alarm(
-        self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any
+        self, new: dict[str, Any], state: dict[str, Any], t: Any, monitored: Any, z: Any
     ) -> None:
         """Record the first non-finite quantity, the first diverged state and the first alarm, with their times."""
         wiring = self.wiring
         fault = ca.SX(0)
-        for i in reversed(range(seen.shape[0])):
-            fault = ca.if_else(ca.fabs(seen[i]) < ca.inf, fault, i + 1.0)
+        for i in reversed(range(monitored.shape[0])):
+            fault = ca.if_else(ca.fabs(monitored[i]) < ca.inf, fault, i + 1.0)
         alarm_slices = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
         flags = [z[k] for rows in alarm_slices for k in range(rows.start, rows.stop)]
         alarm = ca.SX(0)

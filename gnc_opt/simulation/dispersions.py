@@ -277,9 +277,9 @@ class RandomRotation(Dispersion):
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         half = 0.5 * _draw_deviation_magnitude(self.angle, generator)
-        turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_random_unit_vector(generator, 3)])
+        rotation = np.concatenate([[np.cos(half)], np.sin(half) * _draw_random_unit_vector(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
-        rotated = np.asarray(quaternion_product(attitude, turn), dtype=float)
+        rotated = np.asarray(quaternion_product(attitude, rotation), dtype=float)
         # of the two parameter sets, the one of the nominal attitude
         return rotated if nominal.size == 4 else rotated[1:] / (1 + rotated[0])
 

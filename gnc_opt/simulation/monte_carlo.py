@@ -196,7 +196,7 @@ def monte_carlo(
     criteria = read_success_criteria(target, measures, limits)
     mission = CampaignTask(compiled_loop, dict(dispersions), int(seed))
     empty = merge_run_batches(
-        compiled_loop, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(compiled_loop)
+        compiled_loop, [], seed=mission.seed, n_runs=n, goal=criteria.read_target_states(compiled_loop)
     )
     criteria.check_performance_limits(empty)
     folder = None if checkpoint is None else Path(checkpoint)
@@ -212,7 +212,7 @@ def monte_carlo(
                     store_run_batch_file(
                         folder,
                         merge_run_batches(
-                            compiled_loop, [part], seed=mission.seed, asked=n, goal=empty.target
+                            compiled_loop, [part], seed=mission.seed, n_runs=n, goal=empty.target
                         ),
                     )
             show(*_count_runs_and_failures(get_run_batch_results(batch)))
@@ -227,7 +227,7 @@ def monte_carlo(
     )
     _require_any_completed_run(batches)
     batches = _regenerate_dispersed_parameters(batches, mission)
-    campaign = merge_run_batches(compiled_loop, batches, seed=mission.seed, asked=n, goal=empty.target)
+    campaign = merge_run_batches(compiled_loop, batches, seed=mission.seed, n_runs=n, goal=empty.target)
     scenario = describe_campaign_scenario(loop, compiled_loop.layout, dispersions)
     return criteria.apply_success_criteria(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 

@@ -165,15 +165,15 @@ class SensorOutage(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
-        out = ca.logic_and(tick.t >= begin, tick.t < end)
+        is_out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:
             states = ", ".join(tick.x)
             remedy = f"write a function of the time and of the plant's states by name, {states}"
             condition = evaluate_user_function_as_column(
                 self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy
             )
-            out = ca.logic_and(out, ca.logic_not(condition <= 0))  # NaN counts as an outage
-        return Step(ca.if_else(out, math.nan, signal), state)
+            is_out = ca.logic_and(is_out, ca.logic_not(condition <= 0))  # NaN counts as an outage
+        return Step(ca.if_else(is_out, math.nan, signal), state)
 
 
 def _check_state_retraction_size(

@@ -57,16 +57,16 @@ class LoggedSignal:
 
     def __call__(self, t: ArrayLike) -> Array:
         """Return the signal, (size,) at one time t (s), (size, n) at many; states are interpolated linearly."""
-        at = np.asarray(t, dtype=float)
+        times = np.asarray(t, dtype=float)
         first, last = self.times[0], np.inf if self.held else self.times[-1]
-        if not np.all((at >= first) & (at <= last * (1 + ROUNDING))):
+        if not np.all((times >= first) & (times <= last * (1 + ROUNDING))):
             raise ArgumentError(
                 f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {quote_value(t)} s."
             )
         if self.held:
-            index = np.searchsorted(self.times, at + SAME_TIME * (1 + np.abs(at)), side="right") - 1
+            index = np.searchsorted(self.times, times + SAME_TIME * (1 + np.abs(times)), side="right") - 1
             return np.asarray(self.values[:, index])
-        rows = [np.interp(at, self.times, row) for row in self.values]
+        rows = [np.interp(times, self.times, row) for row in self.values]
         return np.stack(rows)
 
 

@@ -45,13 +45,13 @@ def count_steps_for_stable_modes(modes: Any, length: float) -> int:
     return max(1, int(np.ceil(max_norm(modes) * length / _STABLE)))
 
 
-def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: float) -> int:
-    """Return the number of steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
+def count_steps_for_accuracy(modes: Any, length: float, duration: float, max_error: float) -> int:
+    """Return the number of steps in a length (s) for an error below ``max_error`` with decaying modes (1/s, complex).
 
     If that exceeds the limit, the number for `_MODE_MAX_ERROR`; runs that excite the modes then refine it.
     """
     modes = np.asarray(modes, dtype=complex)
-    for required, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
+    for required, n in itertools.product((max_error, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
         h, count = length / n, duration * n / length
         fade = -np.expm1(np.minimum(modes.real, 0.0) * h)
         lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / replace_zeros_by_one(fade), count)
@@ -70,7 +70,7 @@ class StepSelection:
     ----------
     step : float
         Minor step, s.
-    asked : float
+    max_error : float
         Largest permitted error over a run, relative to max(1, \\|x\\|) per state.
     substeps : int, optional
         Given number of integration steps per minor step, if any.
@@ -78,7 +78,7 @@ class StepSelection:
 
     plant: Model
     step: float
-    asked: float
+    max_error: float
     substeps: int | None
 
     def compute_initial_plant_eigenvalues(self, t: float, x: Array, p: Array) -> Array:
@@ -97,24 +97,24 @@ class StepSelection:
             raise self._build_stiff_plant_error(
                 f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s"
             )
-        substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
+        substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.max_error))
         compiled_loop = best = compile_with_substeps(substeps)
-        least, stalled = np.inf, 0
+        smallest, stalled = np.inf, 0
         while True:
             ending = compiled_loop.final_values(compiled_loop.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
-            if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
+            if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.max_error:
                 return compiled_loop
-            stalled = stalled + 1 if error > 0.5 * least else 0
-            if error < least:
-                best, least = compiled_loop, error
+            stalled = stalled + 1 if error > 0.5 * smallest else 0
+            if error < smallest:
+                best, smallest = compiled_loop, error
             if stalled > 1 or (outcome.status is RunStatus.DIVERGED and substeps >= MAX_SUBSTEPS):
                 return best
             if substeps >= MAX_SUBSTEPS:
-                if least <= self.asked:
+                if smallest <= self.max_error:
                     return best
                 raise self._build_stiff_plant_error(
-                    f"leave an error of {least:.1e} where {self.asked:.1e} is required"
+                    f"leave an error of {smallest:.1e} where {self.max_error:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
             compiled_loop = compile_with_substeps(substeps)

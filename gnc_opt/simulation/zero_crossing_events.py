@@ -25,13 +25,13 @@ def read_plant_expression(
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
     expression = convert_to_sx_column(value, what, size, ArgumentError)
     t, x, u, p = plant.symbolic_arguments()
-    foreign = find_unknown_symbols(expression, [t, x, u, p] if controls else [t, x, p])
-    if foreign:
+    unknown = find_unknown_symbols(expression, [t, x, u, p] if controls else [t, x, p])
+    if unknown:
         kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
-        wanted = "state, control or parameter" if controls else "state or parameter"
+        allowed = "state, control or parameter" if controls else "state or parameter"
         raise ArgumentError(
-            f"{what} uses '{foreign[0]}', which is no {wanted} of the plant '{plant.name}': "
-            f"{suggest_similar_name(foreign[0], [name for kind in kinds for name in kind.names])}"
+            f"{what} uses '{unknown[0]}', which is no {allowed} of the plant '{plant.name}': "
+            f"{suggest_similar_name(unknown[0], [name for kind in kinds for name in kind.names])}"
         )
     return expression
 
@@ -194,7 +194,7 @@ class Events:
         ]
         y = ca.vertcat(*[row for row, _ in signed])
         slope = ca.jtimes(y, ca.vertcat(t, x), ca.vertcat(1, rate))
-        holds = [
+        conditions = [
             1.0 if e.where is None else _read_event_expression(e, e.where, "the condition", plant)
             for e in declared
         ]
@@ -203,7 +203,7 @@ class Events:
             declared,
             tuple(owner for _, owner in signed),
             ca.Function("rows", [t, x, rate, p], [y, ca.densify(slope)]),
-            ca.Function("effects", [t, x, p], [ca.vertcat(*holds), ca.horzcat(*after)]),
+            ca.Function("effects", [t, x, p], [ca.vertcat(*conditions), ca.horzcat(*after)]),
         )
 
 

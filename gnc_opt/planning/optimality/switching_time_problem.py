@@ -258,10 +258,10 @@ class SwitchingTimeProblem:
         problem = solution.need_problem("verify")
         flows = {}
         for s in samples:
-            asked = (problem, s, pieces[s.phase.name], unknowns.free_start[s.phase.name])
-            grid, flow = _choose_integration_grid(*asked)
+            data = (problem, s, pieces[s.phase.name], unknowns.free_start[s.phase.name])
+            grid, flow = _choose_integration_grid(*data)
             if refinement > 1:
-                flow = integrate_bang_bang_flow(*asked, refinement * grid)
+                flow = integrate_bang_bang_flow(*data, refinement * grid)
             flows[s.phase.name] = flow
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
