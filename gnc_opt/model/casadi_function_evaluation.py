@@ -128,8 +128,8 @@ def evaluate_casadi_function(
         and (known := programme())
         and known.is_faster_than_casadi(times.size)
     ):
-        return known(times.size, np.atleast_2d(times), *columns)
-    found = evaluate_casadi_batch(function, times.size, np.atleast_2d(times), *columns)
+        return known(times.size, times.reshape(1, -1), *columns)
+    found = evaluate_casadi_batch(function, times.size, times.reshape(1, -1), *columns)
     return found if times.ndim else found[:, 0]
 
 

@@ -188,7 +188,7 @@ def test_an_envelope_is_made_of_order_statistics(campaign):
     limited = replace(campaign, limits={"max(kinetic energy)": 0.7})
     (ax,) = plot_envelope(limited, "kinetic energy").axes
     assert (ax.lines[3].get_label(), *ax.lines[3].get_ydata()) == ("limit", 0.7, 0.7)
-    assert ax.get_xlim() == (campaign.times[0], campaign.times[-1])
+    assert ax.get_xlim() == (campaign.sample_times[0], campaign.sample_times[-1])
 
 
 def test_the_true_percentile_is_within_the_band_as_often_as_it_says():
