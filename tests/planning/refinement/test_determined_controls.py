@@ -55,6 +55,7 @@ def test_a_speed_limit_holds_across_a_waypoint() -> None:
     problem.minimize(second.final_time)
     solution = go.solve(problem)
     assert solution.converged and go.verify(solution).ok
+    assert_known(solution, go.verify(solution))
     assert solution.objective == pytest.approx(10 / 2 + 2 / 1, rel=1e-9)
     waypoint = solution.phase("first").final_time
     assert waypoint == pytest.approx(3.0, rel=1e-9)
