@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -119,7 +118,6 @@ def between_two_phases() -> tuple[go.Problem, float]:
 def test_a_limit_met_at_an_end_only(stated: Callable[[], tuple[go.Problem, float]]) -> None:
     problem, least = stated()
     found = go.solve(problem, tol=1e-8)
-    assert_known(found, go.verify(found))
     assert found.objective == pytest.approx(least, abs=1e-9)
     assert go.verify(found).minimum, go.verify(found).explain()
 
@@ -151,7 +149,6 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Condit
     problem.minimize(leg.integral(a**2 / 2) - gain * leg.final_state("v"))
     t = np.linspace(0.0, 1.0, 11)
     verdict = go.verify_trajectory(problem, t, {"q": ROOT * t**2 / 2, "v": ROOT * t}, {"a": 0 * t + ROOT})
-    assert_known(verdict)
     assert verdict["stationarity"].result is result, verdict
     assert verdict.minimum == (result is ConditionResult.PASS)
 

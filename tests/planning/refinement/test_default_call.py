@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -94,7 +93,6 @@ def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     solution = go.solve(problem)
     assert solution.converged and go.verify(solution).ok
     assert solution.objective == pytest.approx(12.0 * unit**2, rel=1e-9)
-    assert_known(solution, go.verify(solution))
     times = np.linspace(0.0, 1.0, 41)
     np.testing.assert_allclose(
         solution.phase("leg").applied(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit
@@ -119,7 +117,6 @@ def test_a_bound_reached_before_the_first_point_is_resolved() -> None:
     leg.bounds(a=(-limit, limit))
     problem.minimize(leg.integral(a**2))
     solution = go.solve(problem)
-    assert_known(solution, go.verify(solution))
     assert solution.converged and go.verify(solution).ok
     effort = 2.0 * limit**2 * start + 2.0 * slope**2 * (0.5 - start) ** 3 / 3.0
     assert solution.objective == pytest.approx(effort, rel=1e-8)

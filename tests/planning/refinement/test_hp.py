@@ -13,7 +13,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from testing.constructed_solutions import fake
 from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_segment_errors, refine_mesh
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -245,7 +244,6 @@ def test_a_ridge_that_is_touched_inside_a_segment_gets_a_break(width: float) -> 
     solution, history = refine_mesh(go.solve(problem, mesh="5x4", tol=None), tol=1e-5)
     assert history.converged
     assert solution.objective == pytest.approx(3.5185, rel=2e-5)
-    assert_known(replace(solution, history=history))
 
 
 def test_phases_are_refined_together() -> None:

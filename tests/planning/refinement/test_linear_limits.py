@@ -8,7 +8,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -45,7 +44,6 @@ def test_a_path_constraint_takes_over_from_the_bound_of_a_control(limit: Limit) 
     time = over + (SPEED - EXHAUST * np.log(MASS / left)) / MOST
     solution = go.solve(sled(limit), mesh="8x4")
     assert solution.converged and go.verify(solution).ok
-    assert_known(solution, go.verify(solution))
     assert solution.objective == pytest.approx(time, abs=1e-9)
     thrust, limited = ([a for a in solution.structure if a.channel == name] for name in ("T", "acceleration"))
     assert thrust[0].end == limited[0].start == pytest.approx(over, abs=1e-6)
@@ -68,7 +66,6 @@ def test_a_limit_of_thrust_per_mass_is_switched_on_and_off() -> None:
     leg.path("acceleration", ca.sumsqr(T / m), upper=1.0)
     problem.maximize(leg.final_state("m"))
     solution = go.solve(problem, mesh="10x4")
-    assert_known(solution, go.verify(solution))
     burn = 0.5 * (3.0 - np.sqrt(5.0))
     assert solution.converged and go.verify(solution).ok
     assert solution.objective == pytest.approx(40 * np.exp(-0.05 * 2 * burn), rel=1e-10)

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 from testing.constructed_solutions import cart as constructed_cart
 from testing.constructed_solutions import costates, interval, phase, solution
 from testing.internals import ArcMesh, Interval, PhaseStructure, Scheme, Switches, detect_control_structure
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -258,7 +257,6 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
     found, flight = find_optimal_switching_times(solution, start) or pytest.fail("does not settle")
     guess = collocated(solution, found, flight)
-    assert_known(solution, guess)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
     t = np.linspace(0.0, 6.0, 7)

@@ -14,7 +14,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -98,7 +97,6 @@ def test_a_verdict_that_fails_is_no_convergence(tmp_path: Path) -> None:
     problem.minimize(leg.integral(x**2 - u**2))
     refined = go.solve(problem, mesh="5x3", structure="none")
     history = told(refined)
-    assert_known(refined, go.verify(refined))
     assert history.status is RefinementStatus.CONDITIONS_FAIL and not refined.converged
     assert history.final_iteration.error <= history.tolerance
     assert re.search(r"minimum principle \S+ \(tolerance 1e-05\) at phase leg, t = \S+ s", history.message)

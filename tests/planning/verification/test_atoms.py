@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -149,5 +148,4 @@ def test_atoms_push_a_parameter_that_is_the_limit() -> None:
     right = go.verify_trajectory(problem, *arc(height), [height])
     assert right.minimum, right.explain()
     wrong = go.verify_trajectory(problem, *arc(1.1 * height), [1.1 * height])
-    assert_known(wrong)
     assert {c.name for c in wrong.failed} >= {"stationarity"}

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -55,7 +54,6 @@ def test_one_wall_in_any_formula(wall: Any) -> None:
     least = float(ca.DM(wall(ca.DM(1e-4))))
     verdict = judged(limit=lambda t, q: -wall(q - 0.5187), upper=-least)
     assert "limits" in {c.name for c in verdict.failed}
-    assert_known(verdict)
     assert judged(limit=lambda t, q: -wall(q - 1.1), upper=-least).minimum
 
 
@@ -63,7 +61,6 @@ def test_a_gust_between_samples() -> None:
     """The speed would change by 0.05 m/s within 1/2000 s."""
     verdict = judged(gust=lambda t, q: 100 * ca.exp(-(((t - 0.4125) / 3e-4) ** 2)))
     assert "dynamics" in {c.name for c in verdict.failed}
-    assert_known(verdict)
     assert judged(gust=lambda t, q: 100 * ca.exp(-(((t - 1.1) / 3e-4) ** 2))).minimum
 
 

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -577,7 +576,6 @@ def test_of_two_controls_many_track_as_well() -> None:
 def test_tracking_that_cannot_be_perfect_is_checked_by_its_costates() -> None:
     nearest = {"q": 0.45 * T**2, "v": 0.9 * T}
     verdict = go.verify_trajectory(tracking(0.9), T, nearest, {"a": 0 * T + 0.9})
-    assert_known(verdict)
     assert verdict.minimum
     assert not any("the cost is at its lower bound" in c.where for c in verdict.conditions)
 

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from testing.internals import Ellipsoid
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
@@ -412,7 +411,6 @@ def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
     push = np.choose(arc, [0.8, 0.0, -0.8])
     none = 0 * t
     verdict = go.verify_trajectory(problem, t, {"q": [way, none], "v": [speed, none]}, {"a": [push, none]})
-    assert_known(verdict)
     assert {"stationarity", "minimum principle"} <= {c.name for c in verdict.failed}, verdict.explain()
 
 

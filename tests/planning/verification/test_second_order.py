@@ -9,7 +9,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import one_switch
 
@@ -139,7 +138,6 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
             total += 0.5 * (right - left) * weights @ (-0.8 * x - 0.1 * x**2 + 0.3 * t * x)
         return float(total)
 
-    assert_known(solution, go.verify(solution))
     point = np.array([solution.state("x")(start), solution.phase().breaks[1] - start])
     step, units = 1e-3, np.eye(2)
     hessian = np.array(
@@ -364,7 +362,6 @@ def test_equal_carts_switch_together() -> None:
     problem.minimize(leg.final_time)
     solution = go.refine(go.solve(problem, mesh="7x3", tol=None), structure="bang-bang")
     verdict = go.verify(solution)
-    assert_known(verdict)
     assert solution.objective == pytest.approx(2.0, abs=1e-8)
     assert len(solution.structure) == 4 and verdict.minimum, verdict.explain()
     # One time for two switches leaves their multipliers open within the tolerance of the solver.

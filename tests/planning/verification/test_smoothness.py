@@ -6,7 +6,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -111,7 +110,6 @@ def test_a_wrong_end_fails_all_the_same(through: go.Solution) -> None:
     t = np.linspace(0.0, 2.0, 81)
     values = {n: through.state(n)(t) for n in ("q", "v")}
     verdict = go.verify_trajectory(problem.with_final(q=1.01), t, values, {"a": through.control("a")(t)})
-    assert_known(verdict)
     assert "boundary conditions" in {c.name for c in verdict.failed}
 
 
@@ -170,7 +168,6 @@ def test_a_jump_counts_relative_to_the_motion_or_to_the_cost(
     problem.minimize(leg.integral((u**2 + step(y, not of_rate)) / mega))
     t = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0])
     verdict = go.verify_trajectory(problem, mega * t, t / 4, 0.25 - np.repeat([0.0, jump * of_rate], 3))
-    assert_known(verdict)
     kinks = verdict["kinks"]
     assert kinks.value == pytest.approx(value, rel=1e-6) and kinks.tolerance == 0.0
     assert (kinks.result is go.ConditionResult.INCONCLUSIVE) == (value > 0)
@@ -279,7 +276,6 @@ def test_kinks_that_meet(kinks: Any, result: str, place: str) -> None:
     verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t, "w": 0 * t}, none)
     assert verdict["kinks"].result is go.ConditionResult[result]
     assert verdict.ok == (result != "FAIL")
-    assert_known(verdict)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing import constructed_solutions
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import double_integrator
 
@@ -108,7 +107,6 @@ def coupled_touch(concavity: float, as_path: bool) -> go.Verdict:
 
 def test_a_touch_moves_with_the_switches_before_it() -> None:
     right, wrong = (coupled_touch(concavity, as_path=True) for concavity in (5.9, 6.1))
-    assert_known(right, wrong)
     assert right["switching times"].result is not go.ConditionResult.FAIL
     assert wrong["switching times"].result is go.ConditionResult.FAIL
 
@@ -324,7 +322,6 @@ def test_a_switch_at_a_phase_boundary_is_no_unknown_of_the_second_order_conditio
     left = 2.0 - t["brake"]
     x = {"push": np.array([1 - t["push"] ** 2 / 2, -t["push"]]), "brake": np.array([left**2 / 2, -left])}
     verdict = go.verify_trajectory(problem, t, x, {"push": -np.ones(3), "brake": np.ones(3)})
-    assert_known(verdict)
     assert verdict.ok and verdict["switching times"].where == "1 switch between control limits"
 
 

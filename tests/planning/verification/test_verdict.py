@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from testing.internals import Interval, PiecewisePolynomial
-from testing.known_results import assert_known
 from testing.models import double_integrator, dynamics, one_phase
 from testing.wrong_solutions import added, with_leg
 
@@ -173,7 +172,6 @@ def test_singular_control_of_first_order_is_reported() -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))  # u = -1 down to x = 0 at t = 0.5 s, then u = 0 is singular
     verdict = go.verify(go.solve(problem, mesh="4x4", tol=None), tol=1e-4)
-    assert_known(verdict)
     assert verdict.minimum
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from testing.known_results import assert_known
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import (
     added,
@@ -220,7 +219,6 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     verdict = go.verify(wrong.wrong(correct, SMALL))
     found = {c.name for c in verdict.failed}
     assert wrong.condition in found
-    assert_known(correct, before, verdict)
 
 
 def test_errors_too_small_for_a_segment_add_up_in_the_cost() -> None:
