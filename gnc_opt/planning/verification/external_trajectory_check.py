@@ -99,9 +99,8 @@ INTERPOLATION_MIN_GROWTH, MAX_HALVINGS, MIN_SAMPLES = 4.0, 5, 8
 number of halvings of the steps would remove it; third: smallest number of samples of a phase for this test."""
 
 SMALLER_DISTANCES = 1e-7, 1e-9
-"""Distances, relative to the scales of limits, below which limits are active; tried in turn after the default one for
-feasible trajectories that are not minima with it: dense samples near limits are closer than the default, and would have
-multipliers."""
+"""Distances, relative to the scales of limits, below which limits are active; tried in turn for feasible trajectories
+that are not minima with the default one: samples near limits are closer, and would have multipliers."""
 
 Values = Any
 """Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""

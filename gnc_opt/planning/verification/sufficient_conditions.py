@@ -183,10 +183,9 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
             if is_affine(expression, variables):
                 continue
             weight = ca.jacobian(cost, symbol)
-            is_monotone = (
-                weight.is_constant() and float(ca.DM(weight)) >= 0 and not ca.depends_on(conditions, symbol)
-            )
-            if not is_monotone or not _is_convex_quadratic(expression, variables):
+            if not weight.is_constant() or float(ca.DM(weight)) < 0 or ca.depends_on(conditions, symbol):
+                return False
+            if not _is_convex_quadratic(expression, variables):
                 return False
     return True
 
@@ -197,8 +196,10 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     if not hessian.is_constant() or has_kinks(expression):
         return False
     matrix = ca.DM(hessian).full()
-    units = replace_zeros_by_one(np.sqrt(np.abs(np.diag(matrix))))
-    return bool(np.all(np.linalg.eigvalsh(matrix / np.outer(units, units)) >= -ROUNDING))
+    curved = np.diag(matrix) > 0
+    units = np.sqrt(np.diag(matrix)[curved])
+    scaled = matrix[np.ix_(curved, curved)] / np.outer(units, units)
+    return not np.any(matrix[~curved]) and bool(np.all(np.linalg.eigvalsh(scaled) >= -ROUNDING))
 
 
 def compute_cost_lower_bound(problem: Problem) -> float:

@@ -89,6 +89,7 @@ def test_what_is_convex(convex: dict[str, Any]) -> None:
         {"change": lambda p, leg, x, u: p.constrain("e", leg.final_state("x") ** 2, equals=1.0)},
         {"cost": lambda p, leg, x, u: p.maximize(leg.integral(u**2))},
         {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u**2 - 1e-13 * x**2))},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u**2 + 1e-13 * x * u))},
         {
             "cost": lambda p, leg, x, u: p.minimize(leg.integral(ca.cosh(u)))
         },  # convex, which no constant tells
