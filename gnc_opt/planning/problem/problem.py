@@ -416,7 +416,7 @@ class Problem(ProblemData):
         """Raise `ProblemError` for mistakes in the problem statement; `solve` calls it too.
 
         Checks times, costs, boundary values, unused controls and parameters and foreign symbols, and evaluates every
-        function and Jacobian along the guess. Warns of kinks, jumps, linear tables and norms, with a remedy.
+        function and Jacobian along the guess. Warns of constant costs, kinks, jumps, tables and norms, with a remedy.
         """
         check_problem(self)
 

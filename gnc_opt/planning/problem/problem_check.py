@@ -42,6 +42,7 @@ def check_problem(problem: ProblemData) -> None:
             warn_of_kinks(solved, phase)
             _warn_of_duplicate_bounds(solved, phase)
         _check_unused_parameters(problem)
+        _warn_of_constant_cost(problem)
         problem.builds["checked"] = True
     for phase in problem.phases.values():
         check_guess_in_tables(problem, phase, warn=first)
@@ -70,7 +71,6 @@ def check_bounds_and_times(problem: ProblemData) -> None:
     for phase in problem.phases.values():
         _check_phase_start_after_predecessor(problem, phase)
     _check_boundary_constraints(problem)
-    _check_cost_varies(problem)
 
 
 def _check_phase_times(phase: Phase) -> None:
@@ -193,8 +193,8 @@ def _check_boundary_constraints(problem: ProblemData) -> None:
         )
 
 
-def _check_cost_varies(problem: ProblemData) -> None:
-    """Raise an error for a cost of fixed quantities alone, for which all controls are optimal."""
+def _warn_of_constant_cost(problem: ProblemData) -> None:
+    """Issue a `ProblemWarning` for a cost of fixed quantities alone, for which all controls are optimal."""
     if all(np.all(phase.numbers.controls.is_fixed) for phase in problem.phases.values()):
         return  # a boundary value problem
     spans = [phase.numbers.duration for phase in problem.phases.values()]
@@ -213,10 +213,10 @@ def _check_cost_varies(problem: ProblemData) -> None:
     cost_range = bound_function_values(function, _list_endpoint_ranges(problem))
     lower, upper = float(cost_range.lower[0]), float(cost_range.upper[0])
     if upper <= lower + ROUNDING * abs(lower):
-        raise ProblemError(
-            f"the cost of problem '{problem.name}' is {lower:g} for all controls, because it contains only "
-            "fixed quantities: free one or minimise another; the integral of the squared controls gives a smooth "
-            "feasible trajectory."
+        warn_user(
+            f"the cost of problem '{problem.name}' is {lower:g} for all controls, because it contains only fixed "
+            "quantities: every feasible trajectory is optimal, and the solver returns one of them. Free one of the "
+            "quantities, or minimise another; the integral of the squared controls gives a smooth trajectory."
         )
 
 
