@@ -83,21 +83,12 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     SubarcMesh,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.structure_detection import (
-    detect_arc_structures,
-    detect_control_structure,
-)
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_control_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
-from gnc_opt.planning.refinement.hp_refinement import (
-    build_next_mesh,
-    find_active_constraint_multipliers,
-    find_kinks_in_segment,
-    refine_mesh,
-)
+from gnc_opt.planning.refinement.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.defects_and_violations import (
     Worst,
-    compute_state_magnitudes,
     integrate_dynamics,
 )
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
